@@ -82,6 +82,17 @@ def reach(command: Array, limits: AxisLimits, dynamics: AxisBelief = X, step: fl
 # The information
 
 
+def test_the_information_of_levels_is_that_of_the_commands_they_make() -> None:
+    window, level = np.array([0.2, 0.5, 0.3]), np.sin(np.arange(48.0))
+    smooth = axis_information(X, levels_of(X.damping), DURATION, STEP, window=window)
+    np.testing.assert_allclose(smooth.information(level), form().information(np.convolve(level, window)), rtol=1e-8)
+
+
+def test_the_information_of_longer_levels_is_that_of_repeated_ones() -> None:
+    level = np.sin(np.arange(25.0))
+    np.testing.assert_allclose(form().held(2).information(level), form().information(np.repeat(level, 2)), rtol=1e-9)
+
+
 def test_the_information_is_that_of_the_likelihood_on_the_flight_itself() -> None:
     signal = design(dynamics=Z).signal
     flight = simulate_flight(noise_free(TRUTH), lambda t: np.outer(value(signal, t), [0, 0, 1, 0]), DURATION + 0.02, 0)

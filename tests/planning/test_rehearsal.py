@@ -30,10 +30,12 @@ from rotorfit.planning.precision import (
     fly_draws,
     fly_plan,
     information,
+    information_of,
     inverse_of,
     path,
     predicted_errors,
     recorded_flight,
+    seen_flight,
 )
 from rotorfit.planning.signals import designed
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Draw, Truth, noise_free
@@ -98,6 +100,14 @@ def test_the_path_begins_where_the_plan_does() -> None:
 
 
 # Precision
+
+
+def test_a_flight_carries_the_information_of_its_log() -> None:
+    plan = plan_of("x", "y", "yaw")
+    flight, axes = fly_plan(tracker_of(plan), TRUTH, 4), ("x", "y", "yaw")
+    logged, seen = (information_of(each, TRUTH, SURE, axes) for each in (recorded_flight(flight), seen_flight(flight)))
+    assert np.all(np.diag(logged)[[0, 4, 10]] > 0)
+    np.testing.assert_allclose(seen, logged, rtol=1e-9, atol=1e-9 * np.abs(logged).max())
 
 
 def disturbance_covariance(time: np.ndarray, count: np.ndarray, levels: np.ndarray) -> np.ndarray:

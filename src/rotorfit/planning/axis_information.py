@@ -114,6 +114,8 @@ def against_feedback(
 class AxisInformation:
     """The information about (input / g, log b, tau) as a quadratic form of N commands held for one step each.
 
+    Where the commands are levels convolved with a window, it is that of the levels.
+
     Attributes:
         dynamics: Coefficients at which it was computed.
         step: How long a command is held [s].
@@ -135,17 +137,11 @@ class AxisInformation:
         """M, shape (3, 3), for a command of shape (N,)."""
         return self.products(command) @ command
 
-    def behind(self, window: Array, held: int = 1) -> "AxisInformation":
-        """The same for levels that are held for some steps each, and then convolved with a window of W steps.
-
-        There are (N - W + 1) // held levels, each of `held` steps.
-        """
-        N, W = self.form.shape[-1], window.size
-        pulse = np.convolve(window, np.ones(held))
-        smear = np.zeros((N, (N - W + 1) // held))
-        for k in range(smear.shape[1]):
-            smear[k * held : k * held + pulse.size, k] = pulse
-        return replace(self, step=held * self.step, form=smear.T @ self.form @ smear)
+    def held(self, count: int) -> "AxisInformation":
+        """The same for N // count commands that are held `count` times as long."""
+        n = self.form.shape[-1] // count
+        parts = self.form[:, :, : n * count, : n * count].reshape(3, 3, n, count, n, count)
+        return replace(self, step=count * self.step, form=parts.sum(axis=(3, 5)))
 
     def errors(self, command: Array) -> Array:
         """Predicted standard errors of input and damping (relative) and delay [s], shape (3,)."""
@@ -153,7 +149,12 @@ class AxisInformation:
 
 
 def axis_information(
-    dynamics: AxisBelief, levels: Array, duration: float, step: float, pose_rate: float = 120.0
+    dynamics: AxisBelief,
+    levels: Array,
+    duration: float,
+    step: float,
+    pose_rate: float = 120.0,
+    window: Array = np.ones(1),  # noqa: B008 (never changed)
 ) -> AxisInformation:
     """Builds the form from the response to one pulse at a time, exact for held commands and averaged poses.
 
@@ -164,19 +165,21 @@ def axis_information(
         duration: Duration of the flight, from its first command to its last pose [s].
         step: How long a command is held [s].
         pose_rate: Rate of fresh poses, the mocap's rate without its stale share [Hz].
+        window: Pulse of W commands that each level makes; by default one command per level.
     """
     rec = _empty_record(duration, step, pose_rate)
-    N, B, start = rec.command_time.size - 1, rec.count.size, rec.starts[0]
+    W, B, start = window.size, rec.count.size, rec.starts[0]
+    N = rec.command_time.size - W
     gain, damping, delay = dynamics
     point = Point(
         np.array([gain]), np.log([damping]), np.array([delay]), np.zeros((1, 1)), np.zeros((1, 1)), levels[None]
     )
     columns = np.zeros((B, 3 * N + 2, 1))
     for k in range(N):
-        pulse = np.zeros((N + 1, 1))
-        pulse[k] = 1.0
-        since = start - np.minimum(rec.command_time[k : k + 2] + delay, start)  # for its ends, before scoring starts
-        velocity = gain / damping * float(np.diff(np.exp(-damping * since))[0])
+        pulse = np.zeros((N + W, 1))
+        pulse[k : k + W, 0] = window
+        since = start - np.minimum(rec.command_time[k : k + W + 1] + delay, start)  # for its parts, before scoring
+        velocity = gain / damping * float(window @ np.diff(np.exp(-damping * since)))
         _, sensitivity = response(replace(rec, command=pulse), point, 0, np.array([[velocity]]))
         columns[:, k : 3 * N : N] = sensitivity[:, :3]
     columns[:, 3 * N :] = sensitivity[:, 3:]

@@ -10,7 +10,7 @@ it stays inside, too. The window removes fast content: a vehicle with inner loop
 does. M is a convex quadratic form of u, so J rises towards the corners of the convex set of flights that stay inside.
 A linear programme finds the best corner by the gradient of J; a line search towards it, on the exact J, can only climb;
 the climb ends where no corner is better to first order. That is one of many local optima: several signals start the
-climb, then parts of the best are perturbed and the climb is repeated.
+climb, then parts of the best are perturbed and the climb is repeated; first on longer levels, then on single steps.
 
 Source: G. C. Goodwin, R. L. Payne, Dynamic System Identification (1977), ch. 6; L. Ljung, System Identification, 2nd
 ed. (1999), ch. 13; M. Frank, P. Wolfe, Naval Research Logistics Quarterly 3 (1956), pp. 95-110, for the climb; I. R.
@@ -56,11 +56,11 @@ SHORTEST = 4.0
 """Shortest flight that is designed [s]."""
 
 STARTS, ROUNDS = 9, 27
-"""Number of signals that start the climb, and of perturbations of the best afterwards, on levels held for `HELD` steps."""
+"""Number of signals that start the climb, and of perturbations of the best afterwards."""
 
-HELD, REFINED = 2, 18
-"""Steps for which these levels are held, which takes a quarter of the time; number of perturbations of the best
-afterwards, on levels of single steps."""
+HELD = 2
+"""Steps for which the levels are held at first, which takes a quarter of the time. The best is perturbed as often again
+on levels of single steps."""
 
 SETTLED = 1e-4
 """A climb ends where the linear programme promises less than this share of the standard errors."""
@@ -157,21 +157,22 @@ def optimal_signal(
     _check(dynamics, limits, duration)
     pieces = int(np.ceil(duration / LONGEST - 1e-9))
     belief = AxisBelief(*dynamics)
-    form, window = axis_information(belief, levels, duration / pieces, step, pose_rate), _window(smooth, step)
+    window = _window(smooth, step)
+    form = axis_information(belief, levels, duration / pieces, step, pose_rate, window)
     prior = np.zeros((3, 3)) if known is None else np.asarray(known) / pieces
-    problem = _Problem(form.behind(window), limits, criterion, prior, window)
-    rough, rng = replace(problem, form=form.behind(window, HELD)), np.random.default_rng(seed)
-    best, scores = _search(rough, rng, ROUNDS, None, part_of(progress, 0, 2))
+    problem = _Problem(form, limits, criterion, prior, window)
+    rough, rng = replace(problem, form=form.held(HELD)), np.random.default_rng(seed)
+    best, scores = _search(rough, rng, None, part_of(progress, 0, 2))
     same = np.zeros(problem.n)
     same[: HELD * rough.n] = np.repeat(best.command, HELD)
-    best, finer = _search(problem, rng, REFINED, same, part_of(progress, 1, 2))
-    command = problem.inside(best.command)
-    total = pieces * (problem.prior + form.information(command))
+    best, finer = _search(problem, rng, same, part_of(progress, 1, 2))
+    level = problem.inside(best.command)
+    total = pieces * (problem.prior + form.information(level))
     errors = np.sqrt(np.diag(np.linalg.inv(total)))
     return OptimalSignal(
-        signal=_chained(command, step, duration / pieces, pieces),
+        signal=_chained(np.convolve(level, window), step, duration / pieces, pieces),
         criterion=criterion,
-        score=float(problem.score(form.information(command))) + 0.5 * float(np.log(pieces)),
+        score=float(problem.score(form.information(level))) + 0.5 * float(np.log(pieces)),
         gap=best.gap,
         history=best.history,
         scores=(*scores, *finer),
@@ -368,11 +369,11 @@ class _Problem:
         return _Climb(command, gap, tuple(history))
 
     def inside(self, level: Array) -> Array:
-        """The commands, slightly reduced where the motion between the steps, or rounding, exceeds the limits."""
+        """The levels, slightly reduced where the motion between the steps, or rounding, exceeds the limits."""
         limits, command = self.limits, np.convolve(level, self.window)
         low, high, speed = extremes(self.form.dynamics, command, self.form.step)
         reach = (np.abs(command).max() / limits.command, low / limits.lower, high / limits.upper, speed / limits.speed)
-        return np.asarray(command / max(1.0, *reach))
+        return np.asarray(level / max(1.0, *reach))
 
 
 def _window(width: float, step: float) -> Array:
@@ -383,14 +384,14 @@ def _window(width: float, step: float) -> Array:
 
 
 def _search(
-    problem: _Problem, rng: np.random.Generator, rounds: int, first: Array | None, progress: Progress | None
+    problem: _Problem, rng: np.random.Generator, first: Array | None, progress: Progress | None
 ) -> tuple[_Climb, tuple[float, ...]]:
     """Climbs from several signals, or from a first one, then repeatedly from the best with a part of it perturbed."""
     starts, scores = STARTS if first is None else 1, []
     best: _Climb | None = None
-    for i in range(starts + rounds):
+    for i in range(starts + ROUNDS):
         if progress is not None:
-            progress(i / (starts + rounds), f"optimal design: climb {i + 1} of {starts + rounds}")
+            progress(i / (starts + ROUNDS), f"optimal design: climb {i + 1} of {starts + ROUNDS}")
         if best is not None and i >= starts:
             begin = problem.corner(_disturbed(problem, best.command, rng))
         else:

@@ -61,7 +61,6 @@ if TYPE_CHECKING:
 @JSON
 def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
     """Design a flight, and predict its path and the accuracy of a fit to it."""
-    from rotorfit.app.workflows import check_destination
     from rotorfit.files.plans import check_plan_destination, save_plan
     from rotorfit.planning.preview import PICTURE_MARK, write_picture
     from rotorfit.planning.request import Request, destinations, planned, plans_mapping
@@ -70,8 +69,11 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
     files, pictures = (destinations(path, request) if path else [] for path in (output, picture))
     for path in files:
         check_plan_destination(path)
-    for path in pictures:
-        check_destination(path, PICTURE_MARK)
+    if pictures:
+        from rotorfit.app.workflows import check_destination  # it brings the assessment
+
+        for path in pictures:
+            check_destination(path, PICTURE_MARK)
     with progress_bar() as progress:
         plans, proposal = planned(request, progress)
     for one, path in zip(plans, files, strict=False):
