@@ -1,9 +1,9 @@
 """The documents say what is: their blocks run, and what they list is what the code knows."""
 
 import ast
-import csv
 import re
 import shlex
+import sys
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -36,12 +36,14 @@ from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.files.logs import FORMATS
 from rotorfit.files.logs.formats import FORMATS as LOG_FORMATS
 from rotorfit.flying.links import LINKS
-from rotorfit.planning.signals import two_sines
-from rotorfit.simulation.paper_vehicle import Controller, SimulatedFlight, Truth, simulate_flight
+from rotorfit.simulation.paper_vehicle import Truth
 
 pytestmark = pytest.mark.flights
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT / "examples"))
+from two_flights import two_flights  # noqa: E402
+
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 CARDS, FINDINGS, METHOD, ARCHITECTURE = (
     (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
@@ -81,23 +83,6 @@ def codes_in(path: str, name: str) -> set[str]:
     return {first.value for first in firsts if isinstance(first, ast.Constant) and isinstance(first.value, str)}
 
 
-def write_csv(flight: SimulatedFlight, path: Path) -> None:
-    """One table, a row a sample: poses (yaw in degrees, wrapped) and commands, blank where the row has none."""
-    yaw = np.degrees(np.angle(np.exp(1j * flight.pose[:, 3])))
-    poses = [
-        (t, [*(f"{value:.5f}" for value in pose[:3]), f"{heading:.3f}", "", "", "", ""])
-        for t, pose, heading in zip(flight.pose_stamp, flight.pose, yaw, strict=True)
-    ]
-    sent = [
-        (t, ["", "", "", "", *(f"{value:.4f}" for value in values)])
-        for t, values in zip(flight.command_stamp, flight.command, strict=True)
-    ]
-    with path.open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["time", "x", "y", "z", "yaw", "cmd_x", "cmd_y", "cmd_z", "cmd_yaw"])
-        table.writerows([f"{1e-9 * t:.6f}", *cells] for t, cells in sorted(poses + sent, key=lambda row: row[0]))
-
-
 def undocumented() -> set[str]:
     """Formats, methods, exports and links that have no row in the table of their page."""
     tables = {
@@ -121,8 +106,7 @@ def page_of(name: str) -> str:
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, str]]]:
     """A folder with a user's two logs after the shell blocks of the README were run in it, and what they printed."""
     folder = tmp_path_factory.mktemp("user")
-    for name, duration, seed in (("flight1.csv", 25.0, 11), ("flight2.csv", 10.0, 12)):
-        write_csv(simulate_flight(Truth(), two_sines, duration, seed, controller=Controller(0.3, 0.5)), folder / name)
+    two_flights(folder, (25.0, 10.0))
     printed = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

@@ -90,7 +90,8 @@ LEFT_TO_THE_FIT = ("short_data", "slow_commands")
 """Findings of single flights that the fit of all of them repeats or withdraws."""
 
 ABOUT_EXCITATION = ("velocity_follows_command", "wind_dominates")
-"""Findings of single flights that do not matter where all coefficients of the axis are well determined."""
+"""Findings of single flights that do not matter where all coefficients of the axis are well determined, nor where it is
+not excited: the fit says that itself."""
 
 LIKELIHOOD_DOUBT = 2.0
 """Difference in log-likelihood by which a rejected optimum must exceed the chosen one to be a finding."""
@@ -143,6 +144,8 @@ def _settled(finding: Finding, fit: Fit) -> bool:
     if finding.code not in ABOUT_EXCITATION or finding.axis is None:
         return finding.code in LEFT_TO_THE_FIT
     axis = fit.model.axes[finding.axis]
+    if axis.status["input"] == "not_excited":
+        return bool(axis.noise)
     return all(status == "ok" for status in axis.status.values()) and not _weak(axis)
 
 
@@ -365,6 +368,7 @@ def _slow_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> 
         "damping": (point.damping / (2 * np.pi), "b/(2 pi)"),
         "delay": (1 / (4 * np.pi * max(point.delay, 0.05)), "half of 1/(2 pi tau)"),
     }
+    rate = min(BLOCK_RATE, *(1 / float(np.median(np.diff(f.pose_time))) for f in flights))
     for part in unknown:
         frequency, formula = bands[part]
         share = max((share_above(f.command_time, f.command[:, k], frequency) for f in flights), default=0.0)
@@ -375,7 +379,10 @@ def _slow_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> 
                 f"{100 * share:.2g} % of the power of the {name} command lies above {frequency:.2g} Hz, {formula}, "
                 f"where the {part} of {name} shows; {100 * NEEDED_SHARE:g} % are needed",
                 f"the {part} of {name} is not identifiable, and its error biases the others",
-                f"command {name} with steps or sines that reach {2 * frequency:.2g} Hz",
+                f"command {name} with steps or sines that reach {2 * frequency:.2g} Hz"
+                if 4 * frequency < rate
+                else f"use the steady gain and the total lag of {name}: blocks of these poses show nothing above "
+                f"{rate / 2:.2g} Hz",
                 name,
             )
             return

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import given_by_law
 from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Model
+from rotorfit.estimation.identifiability import WIDEST_INPUT
 from rotorfit.estimation.methods import label_of
 
 _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
@@ -58,10 +59,15 @@ def _partly_known(axis: str, known: Axis) -> str:
         head += "; "
     elif not lost:
         return f"{head}its law has no {_listed([_NAMES[name] for name in given])}."
-    whole = {name: part for name, part in known.combinations.items() if None not in part.ci95}
-    combined = [f"{name.replace('_', ' ')} {_range(part)}" for name, part in whole.items()]
+    combined = [f"{name.replace('_', ' ')} {_range(part)}" for name, part in known.combinations.items() if _told(part)]
     instead = f", but {_listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
     return f"{head}{_listed(lost)} cannot be identified from these data{instead}."
+
+
+def _told(part: Combination) -> bool:
+    """Whether the interval is closed, and its ends are no further apart than those of a gain may be."""
+    low, high = part.ci95
+    return low is not None and high is not None and not 0 < WIDEST_INPUT * low < high
 
 
 def _range(part: Combination) -> str:

@@ -222,7 +222,8 @@ def disagreement(one: Card, other: Card, whose: tuple[str, str] = ("the plan's c
         if mine.asked and theirs.asked and mine.asked != theirs.asked:
             return f"a command on {axis} asks for {mine.asked} by {first}, for {theirs.asked} by {second}"
         if bool(mine.limit) != bool(theirs.limit):
-            return f"a command on {axis} is a fraction of a limit by only one of {first} and {second}"
+            with_limit, without = whose if mine.limit else whose[::-1]
+            return f"a command on {axis} is a fraction of a limit by {with_limit}, but not by {without}"
         reached, reaches = expectation(mine), expectation(theirs)
         if reached is not None and reaches is not None and abs(reached - reaches) > 0.01 * abs(reaches):
             return f"a command of 1 on {axis} reaches {reached:.3g} by {first}, {reaches:.3g} by {second}"

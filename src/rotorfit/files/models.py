@@ -66,7 +66,9 @@ def load(path: str | Path) -> Model:
             f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
         ) from None
     except ValueError as error:
-        raise ModelError(f"{path}: not a model file ({error}); give one written by `rotorfit fit -o`") from None
+        raise ModelError(
+            f"{path}: not a model file ({error}); give one written by `rotorfit fit -o`, before any logs"
+        ) from None
     return from_mapping(raw, str(path))
 
 

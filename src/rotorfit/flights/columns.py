@@ -222,7 +222,8 @@ def table_of(log: Log, source: str) -> tuple[Table, str]:
         raise CardError(f"{log.path}: table {head!r} was not decoded: {log.skipped[head]}")
     if head:
         raise CardError(
-            f"{log.path}: no table {head!r}{nearest(head, [*log.tables, *log.skipped])} (`rotorfit info` lists them)"
+            f"{log.path}: no table {head!r}{nearest(head, [*log.tables, *log.skipped])} (`rotorfit info` without a "
+            "card lists them, and names the built-in card that fits)"
         )
     holders = [table.name for table in log.tables.values() if source in table.columns] or list(log.tables) or ["TABLE"]
     raise CardError(f"{log.path}: {source!r} names no table of the {len(log.tables)}; write '{holders[0]}:{source}'")
