@@ -16,7 +16,7 @@ from rotorfit.core.flight_plan import value
 from rotorfit.core.frames import AXES
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
-from rotorfit.estimation.likelihood.feedback import LOOP_SIGMAS
+from rotorfit.estimation.likelihood.feedback import LOOP_SIGMAS, LoopEvidence, loop_evidence
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import parse_log
 from rotorfit.flights.assemble import flight_from_log
@@ -67,3 +67,9 @@ def test_a_real_autopilots_loops_are_told_apart_from_its_open_flights(
     assert {
         axis for axis, found in sigmas(fit([flight], structure="first_order_delay")).items() if found > LOOP_SIGMAS
     } == loops
+
+
+def test_poses_that_stand_still_are_no_loop() -> None:
+    command = np.random.default_rng(1).normal(size=600)
+
+    assert loop_evidence([(command, np.zeros(600))]) == LoopEvidence(0.0, 1, 0.0)

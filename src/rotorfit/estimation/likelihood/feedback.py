@@ -77,7 +77,8 @@ def loop_evidence(parts: Iterable[tuple[Array, Array]]) -> LoopEvidence:
     total = scores.sum(axis=0)
     square = float(total @ np.linalg.pinv(scores.T @ scores, hermitian=True) @ total)
     chance = max(float(chdtrc(LOOP_STEPS, square)), LEAST_CHANCE)
-    alike = total / np.sqrt(np.sum(change**2) * np.sum(before**2, axis=0))
+    scale = np.sqrt(np.sum(change**2) * np.sum(before**2, axis=0))
+    alike = np.divide(total, scale, out=np.zeros_like(total), where=scale > 0)  # poses that stand still surprise nobody
     at = int(np.argmax(np.abs(alike)))
     return LoopEvidence(float(alike[at]), at + 1, float(-ndtri(chance / 2)))
 
