@@ -133,7 +133,7 @@ def test_braking_is_found_on_none_of_six_clean_flights() -> None:
     assert not [test for test in found if test.acts]
 
 
-def test_the_motion_in_pieces_is_that_step_by_step() -> None:
+def test_the_compiled_motion_is_that_step_by_step() -> None:
     rng = np.random.default_rng(3)
     pull, yaw, start = rng.standard_normal((501, 2)), np.cumsum(0.1 * rng.standard_normal(501)), np.array([0.3, -0.2])
     damping, step = np.array([0.4, 1.5]), zero_command.STEP

@@ -19,7 +19,6 @@ from rotorfit.core.results import Fit, student_quantile
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import record
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
-from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import between, start_point
 from rotorfit.estimation.likelihood.prior import prior_of_law
 
@@ -159,7 +158,7 @@ def _fitted(flight: Flight, estimate: Estimate, axis: str) -> Part | None:
     optimum = maximise([rec], point, free, prior=prior_of_law(estimate.optimum.prior, K))
     at = [k, K + k, 2 * K + k]
     theta = optimum.point.flat()[at]
-    variance = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
+    variance = optimum.covariance[np.ix_(at, at)]
     told = np.log(DAMPINGS[0]) < theta[1] < np.log(DAMPINGS[1]) and np.all(np.diag(variance) > 0)
     known = np.sqrt(variance[0, 0]) < 0.5 * abs(theta[0]) and np.sqrt(variance[1, 1]) < 1.0
     return Part(*flight.span, theta, variance) if told and known else None

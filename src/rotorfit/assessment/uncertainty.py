@@ -194,7 +194,7 @@ def _axis(
     at = [k, K + k, 2 * K + k]
     values = np.array([point.gain[k], np.exp(point.log_damping[k]), point.delay[k]])
     scale = np.array([1.0, values[1], 1.0])
-    covariance = inverted(optimum.score.information, optimum.free)
+    covariance = optimum.covariance
     expected = _errors(covariance, at) * scale
     seen, *others = (observed_covariance(records, optimum, step) for step in (OBSERVED_STEP, *OTHER_STEPS))
     robust = _errors(sandwich_covariance(records, optimum), at) * scale

@@ -151,10 +151,9 @@ def _begin(
 @inner()
 def _moved(
     t: float, until: float, psi: float, yaw: float, command_time: Array, command: Array, law: Array, series: Array,
-    z: Array, k: Any, u: Array,
+    z: Array, k: Any, u: Array, what: Any, whose: Any, S: Array,
 ) -> None:  # fmt: skip
-    """Propagates the driven state."""
-    what, whose, S = np.full(1, MEAN), np.zeros(1, np.int64), np.zeros((2, 3, 12))
+    """Propagates the driven state; the last three arguments are the column of the mean, and room to work."""
     advance(
         t, until, psi, yaw, k, command_time.size, command_time, command, law, series, longest_step(law), what, whose, z,
         u, S,
@@ -164,6 +163,8 @@ def _moved(
 @inner()
 def _turn(m: Array, P: Array, angle: float) -> None:
     """Rotates the frame of mean (6,) and covariance (6, 6) by an angle, in place."""
+    if angle == 0.0:
+        return
     c, s = np.cos(angle), np.sin(angle)
     for j in range(3):
         m[j], m[3 + j] = c * m[j] + s * m[3 + j], c * m[3 + j] - s * m[j]
@@ -175,10 +176,15 @@ def _turn(m: Array, P: Array, angle: float) -> None:
 
 
 @inner()
-def _stepped(m: Array, P: Array, dt: float, levels: Array, F: Array, D: Array, M: Array) -> None:
-    """Propagates mean (6,) and covariance (6, 6) by a step of both axes, in place; the rest is room to work."""
+def _discretized(levels: Array, dt: float, F: Array, D: Array) -> None:
+    """Fills the transitions F and unit-power covariances D of both axes, each (2, 3, 3), over a step."""
     for a in range(2):
         discretize(levels[a, 2], 0.25 * levels[a, 3] * levels[a, 2] * levels[a, 2], dt, F[a], D[a])
+
+
+@inner()
+def _stepped(m: Array, P: Array, levels: Array, F: Array, D: Array, M: Array) -> None:
+    """Propagates mean (6,) and covariance (6, 6) by the step of `_discretized`, in place; M is room to work."""
     for a in range(2):
         for j in range(3):
             i = 3 * a + j
@@ -218,21 +224,26 @@ def _follow(
     """See `MotionFilter.follow`."""
     own = command[:, :2] if turns else command[:, 2:]
     F, D, M, gain = np.zeros((2, 3, 3)), np.zeros((2, 3, 3)), np.empty((6, 7)), np.empty(6)
-    out, both = np.zeros((time.size, 2, 5)), turns and known[0] and known[1]
+    what, whose, S = np.full(1, MEAN), np.zeros(1, np.int64), np.zeros((2, 3, 12))
+    out, both, done = np.zeros((time.size, 2, 5)), turns and known[0] and known[1], -1.0
+    kept, kept_k, kept_u, kept_m, kept_P, then = z[0], k[0], u[0], mean[0], covariance[0], clock[0]
+    now, now_k, now_u, m, P, at = z[1], k[1], u[1], mean[1], covariance[1], clock[1]  # slices cost more than their use
     for i in range(time.size):
-        t, heading, begun = time[i], yaw[i] if turns else 0.0, clock[0, 2] > 0.0
-        z[1], k[1], u[1], mean[1], covariance[1] = z[0], k[0], u[0], mean[0], covariance[0]
-        m, P = mean[1], covariance[1]
-        _moved(clock[0, 0], t, clock[0, 1], heading, command_time, own, law, series, z[1], k[1], u[1])
+        t, heading, begun = time[i], yaw[i] if turns else 0.0, then[2] > 0.0
+        _copy(kept, kept_k, kept_u, kept_m, kept_P, now, now_k, now_u, m, P)
+        _moved(then[0], t, then[1], heading, command_time, own, law, series, now, now_k, now_u, what, whose, S)
         if begun:
-            dt = np.rint((t - clock[0, 0]) / STEP_GRAIN) * STEP_GRAIN
-            half = 0.5 * (heading - clock[0, 1]) if both else 0.0
+            dt = np.rint((t - then[0]) / STEP_GRAIN) * STEP_GRAIN
+            half = 0.5 * (heading - then[1]) if both else 0.0
+            if dt != done:
+                _discretized(levels, dt, F, D)
+                done = dt
             _turn(m, P, half)
-            _stepped(m, P, dt, levels, F, D, M)
+            _stepped(m, P, levels, F, D, M)
             _turn(m, P, half)
         c, s = (np.cos(heading), np.sin(heading)) if both else (1.0, 0.0)
-        off_x = (position[i, 0] if turns else position[i, 2]) - z[1, POSITION]
-        off_y = (position[i, 1] if turns else yaw[i]) - z[1, POSITION + COLUMNS]
+        off_x = (position[i, 0] if turns else position[i, 2]) - now[POSITION]
+        off_y = (position[i, 1] if turns else yaw[i]) - now[POSITION + COLUMNS]
         if known[0]:
             _take(m, P, 0, c * off_x + s * off_y, levels[0, 1], gain)
         if known[1]:
@@ -240,15 +251,31 @@ def _follow(
         for j in range(3):
             out[i, 0, j], out[i, 1, j] = c * m[j] - s * m[3 + j], s * m[j] + c * m[3 + j]
         for a in range(2):
-            out[i, a, 3], out[i, a, 4] = z[1, POSITION + COLUMNS * a], z[1, V + COLUMNS * a]
-        clock[1, 0], clock[1, 1], clock[1, 2] = t, heading, 1.0
+            out[i, a, 3], out[i, a, 4] = now[POSITION + COLUMNS * a], now[V + COLUMNS * a]
+        at[0], at[1], at[2] = t, heading, 1.0
         if not begun:
             grid[0] = t
         if t >= grid[0] + grid[1] / SAMPLES:
-            z[0], k[0], u[0], mean[0], covariance[0], clock[0] = z[1], k[1], u[1], mean[1], covariance[1], clock[1]
+            _copy(now, now_k, now_u, m, P, kept, kept_k, kept_u, kept_m, kept_P)
+            then[0], then[1], then[2] = t, heading, 1.0
             while grid[0] + grid[1] / SAMPLES <= t:
                 grid[1] += 1.0
     return out
+
+
+@inner()
+def _copy(
+    z: Array, k: Any, u: Array, m: Array, P: Array, to_z: Array, to_k: Any, to_u: Array, to_m: Array, to_P: Array
+) -> None:
+    """Copies the state of a filter."""
+    for n in range(z.size):
+        to_z[n] = z[n]
+    for a in range(2):
+        to_k[a], to_u[a] = k[a], u[a]
+    for i in range(6):
+        to_m[i] = m[i]
+        for j in range(6):
+            to_P[i, j] = P[i, j]
 
 
 @kernel()
@@ -259,8 +286,10 @@ def _motion(
     """See `MotionFilter.motion`."""
     own = command[:, :2] if turns else command[:, 2:]
     later, out = z.copy(), np.full((2, 6), np.nan)
-    until = clock[0] + AHEAD
-    _moved(clock[0], until, clock[1], clock[1], command_time, own, law, series, later, k.copy(), u.copy())
+    until, what, whose, S = clock[0] + AHEAD, np.full(1, MEAN), np.zeros(1, np.int64), np.zeros((2, 3, 12))
+    _moved(
+        clock[0], until, clock[1], clock[1], command_time, own, law, series, later, k.copy(), u.copy(), what, whose, S
+    )  # fmt: skip
     F, D, M = np.zeros((2, 3, 3)), np.zeros((2, 3, 3)), np.empty((6, 7))
     both = turns and known[0] and known[1]
     for a in range(2):  # in the heading frame, in which dampings and trims are defined
@@ -273,7 +302,8 @@ def _motion(
     for a in range(2):
         out[a, VELOCITY] = z[V + COLUMNS * a] + m[3 * a + 1]
     m, C = mean.copy(), covariance.copy()
-    _stepped(m, C, AHEAD, levels, F, D, M)
+    _discretized(levels, AHEAD, F, D)
+    _stepped(m, C, levels, F, D, M)
     _turn(m, C, back)
     for a in range(2):
         i = 3 * a + 1

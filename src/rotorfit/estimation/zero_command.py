@@ -19,6 +19,7 @@ from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import NORMAL
 from rotorfit.core.results import Braking
+from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
@@ -178,35 +179,28 @@ def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array
     """World positions and velocities (T, K) under accelerations in the heading frame (T, K) and linear damping.
 
     Second order in the step: the position by the trapezoidal rule, the velocity by a damping that is exact for constant
-    yaw. The series is split into pieces that are integrated in parallel, each from rest; each piece then receives the
-    final velocity of the previous one.
+    yaw.
     """
-    T, K = pull.shape
-    steps = int(np.ceil(T**0.5))
-    padding = (0, -T % steps)
     kept, gained = np.exp(-damping * STEP), -np.expm1(-damping * STEP) / damping
-    fade, push = np.tile(np.diag(kept), (T, 1, 1)), (pull * gained)[:, None]
-    if K == 2:
-        cosine, sine = np.cos(yaw), np.sin(yaw)
-        turn = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
-        back = turn.transpose(0, 2, 1)
-        fade, push = turn @ fade @ back, push @ back
-    fade, push = (np.pad(part, (padding, (0, 0), (0, 0))) for part in (fade, push))
-    fade, push = fade.reshape(-1, steps, K, K), push.reshape(-1, steps, 1, K)
-    pieces = np.empty((len(fade), steps, 1 + K, K))  # velocity from rest, and response to a unit initial velocity
-    state = np.tile(np.vstack([np.zeros(K), np.eye(K)]), (len(fade), 1, 1))
-    for n in range(steps):
-        pieces[:, n] = state
-        state = state @ fade[:, n]
-        state[:, :1] += push[:, n]
-    begin = np.empty((len(fade), 1, 1, K))
-    for n, last in enumerate(state):
-        begin[n] = start
-        start = last[0] + start @ last[1:]
-    velocity = (pieces[:, :, :1] + begin @ pieces[:, :, 1:]).reshape(-1, K)[:T]
-    position = np.zeros_like(velocity)
+    velocity, position = np.empty_like(pull), np.zeros_like(pull)
+    _driven(pull * gained, kept, np.column_stack([np.cos(yaw), np.sin(yaw)]), start.astype(float), velocity)
     position[1:] = np.cumsum(0.5 * STEP * (velocity[1:] + velocity[:-1]), axis=0)
     return position, velocity
+
+
+@kernel()
+def _driven(push: Array, kept: Array, turn: Array, start: Array, velocity: Array) -> None:
+    """Fills the world velocities before each step (T, K), from the gain (T, K) and kept share (K,) of each step."""
+    last = push.shape[1] - 1
+    x, y = start[0], start[last]
+    for i in range(push.shape[0]):
+        velocity[i, 0], velocity[i, last] = x, y
+        if last == 0:
+            x = y = kept[0] * x + push[i, 0]
+        else:
+            c, s = turn[i, 0], turn[i, 1]
+            forward, left = kept[0] * (c * x + s * y) + push[i, 0], kept[1] * (c * y - s * x) + push[i, 1]
+            x, y = c * forward - s * left, s * forward + c * left
 
 
 def commanded_parts(flight: Flight, axes: Sequence[str], late: float) -> Flight:

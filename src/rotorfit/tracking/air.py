@@ -196,11 +196,12 @@ the error of that velocity."""
 
 def _measured(flight: Flight, pair: Pair, time: float) -> Array:
     """World velocity of a pair around a time, from the poses, shape (2,) [m/s, rad/s]."""
-    pose = np.column_stack([flight.position, flight.yaw])[:, [AXES.index(axis) for axis in pair]]
     low, high = np.searchsorted(flight.pose_time, [time - SLOPE / 2, time + SLOPE / 2])
     low = min(int(low), flight.pose_time.size - 2)
     high = max(min(int(high), flight.pose_time.size - 1), low + 1)
-    return np.asarray((pose[high] - pose[low]) / (flight.pose_time[high] - flight.pose_time[low]))
+    moved = np.append(flight.position[high] - flight.position[low], flight.yaw[high] - flight.yaw[low])
+    elapsed = flight.pose_time[high] - flight.pose_time[low]
+    return np.asarray(moved[[AXES.index(axis) for axis in pair]] / elapsed)
 
 
 LEAST = 10

@@ -22,6 +22,7 @@ likelihood ratio); T. L. Lai, J. R. Statist. Soc. B 57 (1995), pp. 613-658 (its 
 Biometrika 73 (1986), pp. 13-22 (variance from the sums of scores).
 """
 
+import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,10 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices
-from rotorfit.tracking.scores import FADES, LASTS, WINDOWS, Scores
-
-CHUNK = 1.0
-"""Length of the stretches whose sums of scores count as independent [s]."""
+from rotorfit.tracking.scores import CHUNK, FADES, LASTS, WINDOWS, Scores
 
 UNLIKELY = 1e-3
 """A contrast is dropped early if its p-value exceeds this even under white innovations."""
@@ -122,7 +120,7 @@ class _Compared:
 def _compared(scores: Scores, since: float) -> list[_Compared]:
     """The comparison under each strength of gusts that the window may have; empty if either part is too short."""
     at = int(np.searchsorted(scores.time, since))
-    if at == scores.time.size or _chunks(scores.time[:at]).size < LEAST_CHUNKS:
+    if at == scores.time.size or scores.chunks_before(at) < LEAST_CHUNKS:
         return []
     own, P, likelihoods = scores.rows[at:].T @ scores.rows[at:], len(scores.names), scores.gust_likelihood(since)
     G_r, s_r, _ = _projected(scores.products - own, P)
@@ -149,10 +147,10 @@ def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contr
     likeliest = max(parts, key=lambda part: 2 * part[0].gust_likelihood + float((part[1] ** 2 / part[3]).sum()))
     one, along, vector, value = likeliest
     directions = value.size
-    chunks = _chunks(scores.time[: one.at]).size
+    chunks = scores.chunks_before(one.at)
     if _p_value(float((along**2 / value).sum()) / one.noise, directions, chunks) > UNLIKELY:
         return None  # the true variance is never below that of white innovations
-    excess, freedom = _excess(scores, one.at, scores.tested[: one.at] @ vector)
+    excess, freedom = _excess(scores, one.at, vector)
     variance = one.noise * excess + value * (scores.doubt**2 @ vector**2)
     statistic = float((along**2 / (value * variance)).sum())
     p_value = _p_value(statistic, directions, freedom)
@@ -168,7 +166,8 @@ def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contr
 
 def _inside(compared: _Compared, basis: Array) -> tuple[_Compared, Array, Array, Array] | None:
     """The comparison, its u along the informative directions of a subspace, those directions, and their information."""
-    value, vector = np.linalg.eigh(basis.T @ compared.M @ basis)
+    inner = basis.T @ compared.M @ basis
+    value, vector = np.linalg.eigh(inner) if len(inner) > 1 else (inner[0], np.eye(1))
     keep = value > 1.0
     vector = basis @ vector[:, keep]
     return (compared, compared.u @ vector, vector, value[keep]) if keep.any() else None
@@ -177,10 +176,10 @@ def _inside(compared: _Compared, basis: Array) -> tuple[_Compared, Array, Array,
 def _excess(scores: Scores, at: int, along: Array) -> tuple[Array, float]:
     """Variance of the rest's scores along some directions, over that of white innovations, and its degrees of freedom.
 
-    Sensitivities `along`, shape (at, k), give k variances, each at least 1.
+    Directions `along`, shape (P, k), give k variances, each at least 1.
     """
-    before = along * scores.innovation[:at, None]
-    excess, values = _spread(np.add.reduceat(before, _chunks(scores.time[:at]), axis=0), (before**2).sum(axis=0))
+    sums, products = scores.before(at)
+    excess, values = _spread(sums @ along, np.einsum("ik,ij,jk->k", along, products, along))
     return np.maximum(excess, 1.0), values
 
 
@@ -200,11 +199,6 @@ def _p_value(statistic: float, directions: int, chunks: float) -> float:
     from scipy.special import fdtrc
 
     return float(fdtrc(directions, max(chunks - directions, 1), statistic / directions))
-
-
-def _chunks(time: Array) -> Indices:
-    """First row of each chunk of time."""
-    return np.flatnonzero(np.diff(np.floor(time / CHUNK), prepend=-1.0)) if time.size else np.empty(0, int)
 
 
 def _projected(products: Array, P: int) -> tuple[Array, Array, float]:
@@ -233,13 +227,13 @@ def looked_for(scores: Scores) -> list[Contrast]:
     now, begin = float(scores.time[-1]), float(scores.time[0])
     windows = (now - w for w in WINDOWS if w < 0.5 * (now - begin))
     compared = [one for since in windows if (one := _compared(scores, since))]
-    found = [each for one in compared for basis in _bases(scores) if (each := _along(scores, one, basis))]
+    found = [each for one in compared for basis in _bases(scores.names) if (each := _along(scores, one, basis))]
     return [*found, *_jolted([scores]).values()]
 
 
 def looks(scores: Scores) -> int:
     """Number of contrasts that a look at these scores tests, a second after the last."""
-    return len(WINDOWS) * len(_bases(scores)) + _instants(scores)
+    return len(WINDOWS) * len(_bases(scores.names)) + _instants(scores)
 
 
 def looked_together(scored: Sequence[Scores]) -> tuple[dict[tuple[str, ...], list[Contrast]], int]:
@@ -333,9 +327,10 @@ def _matched(innovation: Array, h: Array, at: Indices) -> Array:
     return out
 
 
-def _bases(scores: Scores) -> list[Array]:
+@functools.cache
+def _bases(names: tuple[str, ...]) -> list[Array]:
     """Bases of the shifts: all directions; each trim that belongs to the vehicle; a common factor; a common delay."""
-    kind = np.array([name.split(".")[1] for name in scores.names])
+    kind = np.array([name.split(".")[1] for name in names])
     alone = [np.eye(kind.size)[:, [i]] for i in np.flatnonzero(kind == "trim")]
     alike = [(kind == name)[:, None].astype(float) for name in ("input", "delay")]
     return [np.eye(kind.size), *alone, *alike]

@@ -24,7 +24,8 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import estimands, half_widths
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
-from rotorfit.estimation.likelihood.prior import GaussianPrior
+from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
 
 DRAG_MEDIAN = 0.25
 """Median of the prior of the drag [1/s]: the room's vehicles of published drag have 0.10 to 0.53, recorded flights of
@@ -78,20 +79,24 @@ def _under_prior(estimate: Estimate, weights: Mapping[int, float]) -> Optimum:
         weights: Place of each tilted axis to the factor by which its damping is less certain than the information says.
     """
     optimum, point = estimate.optimum, estimate.optimum.point
-    mean, precision = np.zeros(point.coefficients), np.zeros(point.coefficients)
+    mean, given, added = np.zeros((3, point.coefficients))
     if optimum.prior is not None:
-        given = optimum.prior.mean.size
-        mean[:given], precision[:given] = optimum.prior.mean, optimum.prior.precision
+        size = optimum.prior.mean.size
+        mean[:size], given[:size] = optimum.prior.mean, optimum.prior.precision
     log_damping = point.log_damping.copy()
     for k, weight in weights.items():
         i = point.place("damping", k)
-        if precision[i] == 0.0:  # else the card knows this vehicle
-            mean[i], precision[i] = np.log(DRAG_MEDIAN), (weight / DRAG_SPREAD) ** 2
+        if given[i] == 0.0:  # else the card knows this vehicle
+            mean[i], added[i] = np.log(DRAG_MEDIAN), (weight / DRAG_SPREAD) ** 2
             reach = NORMAL * DRAG_SPREAD  # near zero the likelihood is flat in the logarithm
             log_damping[k] = np.clip(log_damping[k], mean[i] - reach, mean[i] + reach)
     free = optimum.free.copy()
     free[point.n :] = False
-    start, prior = replace(point, log_damping=log_damping), GaussianPrior(mean, precision)
+    prior, known = GaussianPrior(mean, given + added), with_prior(optimum.score, point, GaussianPrior(mean, added))
+    rise = 0.5 * float(known.gradient @ inverted(known.information, free) @ known.gradient)
+    if rise < TOLERANCE and np.array_equal(log_damping, point.log_damping):
+        return replace(optimum, score=known, prior=prior)  # the flight tells the drag: no pass over it is needed
+    start = replace(point, log_damping=log_damping)
     found = maximise(estimate.records, start, free, tolerance=TOLERANCE, prior=prior)
     return replace(found, free=optimum.free)
 

@@ -57,6 +57,9 @@ PLAIN = 0.99
 RESTLESS = 0.97
 """Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
 
+BEGINS = 0.1
+"""Step by which the beginning of what a look uses of a long regime moves, as a share of `LONGEST`."""
+
 QUIET = 5.0
 """Time without a new command after which an axis is `holding` [s]: by then it has answered the last one."""
 
@@ -208,7 +211,7 @@ class Following:
         group = self._groups.get(axes, Group(axes, since))
         if group.since != since:
             group = Group(axes, since, answers=group.answers)
-        part = group.part(flight, max(since, now - LONGEST), now)
+        part = group.part(flight, _looks_back(since, now), now)
         if part is None or part.duration < LEAST_TIME:
             return group
         excited = group.excited + _excited(flight, axes, max(group.looked, since), now)
@@ -294,8 +297,9 @@ class Following:
                 continue
             late = [late_by(one) for one in group.fitted.estimates.values()]
             apart = replace(group, answers=min(late))
-            part = apart.part(flight, max(group.since, now - LONGEST), now)
-            if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * min(now - group.since, LONGEST):
+            begin = _looks_back(group.since, now)
+            part = apart.part(flight, begin, now)
+            if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * (now - begin):
                 continue
             fitted = refitted(part, axes, self._structure, group.fitted.seen)
             if fitted.estimates and not any(
@@ -378,6 +382,15 @@ class Following:
 def next_look(due: float, now: float) -> float:
     """Time of the next look, a whole number of periods after one that was due at `due` [s]."""
     return due + EVERY * max(float(np.ceil((now - due) / EVERY + 1e-9)), 1.0)
+
+
+def _looks_back(since: float, now: float) -> float:
+    """Time from which the estimates of a look use the flight [s]: at least `LONGEST` back, in a regime that is so long.
+
+    It moves in steps: what was learnt of the velocity there holds until the next.
+    """
+    step = BEGINS * LONGEST
+    return max(since, step * float(np.floor((now - LONGEST) / step)))
 
 
 def _knowledge(

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frames import AXES, Array, Indices
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras
@@ -30,6 +30,9 @@ LEAST_GUST_TIME = 3.0
 PART, PARTS, OWN, OTHERS = 0.5, 6, 3, 4
 """Length [s] and number of the last parts of the flight from which gusts are judged; how many of them count, the
 calmest, of the axis itself and of x and y. A jolt fills two parts and is not a gust."""
+
+CHUNK = 1.0
+"""Length of the stretches whose sums of scores count as independent [s]."""
 
 EXPECTED = {"input": 0.3, "damping": 0.5, "delay": 0.05, "lag": 0.5, "trim": 0.5}
 """Sizes of the changes that are tested for, and units of the scores: relative for the input, logarithmic for damping
@@ -102,6 +105,32 @@ class Scores:
         """Inner products of the columns of `rows`, shape (1 + P + Q, 1 + P + Q)."""
         return np.asarray(self.rows.T @ self.rows)
 
+    @cached_property
+    def _chunks(self) -> Indices:
+        """First row of each chunk of time."""
+        return np.flatnonzero(np.diff(np.floor(self.time / CHUNK), prepend=-1.0))
+
+    @cached_property
+    def _each(self) -> Array:
+        """Contribution of each row to the scores of the tested parameters, shape (N, P)."""
+        return self.tested * self.innovation[:, None]
+
+    @cached_property
+    def _of_chunks(self) -> tuple[Array, Array]:
+        """Sums of the scores over each chunk, shape (C, P), and the products of `_each`, shape (P, P)."""
+        return np.add.reduceat(self._each, self._chunks, axis=0), self._each.T @ self._each
+
+    def chunks_before(self, at: int) -> int:
+        """Number of chunks that begin before a row."""
+        return int(np.searchsorted(self._chunks, at))
+
+    def before(self, at: int) -> tuple[Array, Array]:
+        """Sums of the scores over each chunk before a row, shape (C, P), and the products of the scores there."""
+        (sums, products), last = self._of_chunks, self.chunks_before(at) - 1
+        late = self._each[at:]
+        ended = np.vstack([sums[:last], self._each[self._chunks[last] : at].sum(axis=0)])
+        return ended, products - late.T @ late
+
     def gust_likelihood(self, since: float) -> Array:
         """Log-likelihood of each strength of gusts from `since` [s] on, over at least `LEAST_GUST_TIME`, (1 + L,)."""
         late = int(np.searchsorted(self.time, min(since, self.time[-1] - LEAST_GUST_TIME)))
@@ -161,9 +190,11 @@ class _Whitened:
     def _scored(self, rows: Array) -> Scores:
         """Scores from whitened columns, shape (B, C, K)."""
         point, K = self._estimates[0][1].optimum.point, rows.shape[2]
-        valid = np.ones(rows.shape[:2])
-        valid[self._valid == 0, : 1 + point.coefficients + 2 * K] = 0.0  # the shapes of jolts belong to no time
-        rows = (rows * valid[:, :, None]).transpose(0, 2, 1).reshape(-1, rows.shape[1])
+        if not self._valid.all():
+            valid = np.ones(rows.shape[:2])
+            valid[self._valid == 0, : 1 + point.coefficients + 2 * K] = 0.0  # the shapes of jolts belong to no time
+            rows = rows * valid[:, :, None]
+        rows = rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
         innovation, columns = rows[:, 0], rows[:, 1:]
         trim, start = point.coefficients, point.coefficients + K
         tested, names, scale, doubt, own = [], [], [], [], []

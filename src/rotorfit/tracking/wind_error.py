@@ -8,6 +8,7 @@ An error of the input g, the damping b or the delay tau therefore propagates to 
 the filter averages them; an error of the trim c in proportion to the share of a constant push that the filter misses.
 """
 
+import functools
 from collections.abc import Mapping
 
 import numpy as np
@@ -18,7 +19,6 @@ from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.disturbance_state import disturbance_states
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.estimand import estimands
-from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.parameters import Point
 
 RATE, BACK = 30.0, 10.0
@@ -36,7 +36,7 @@ def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Ma
     """
     optimum, k = estimate.optimum, estimate.place
     told = estimands(optimum, k)
-    weights = _response(np.exp(optimum.point.levels[k, :4]), told["damping"].value)
+    weights = _response(tuple(optimum.point.levels[k, :4]), told["damping"].value)
     time = flight.pose_time[-1] - np.arange(weights.size)[::-1] / RATE
     late = told.get("delay_plus_lag", told.get("delay"))
     by = {
@@ -49,7 +49,7 @@ def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Ma
         by[late.name] = told["input"].value * (sooner - later) / (2 * error)
     slope = np.sum([by[name] * widened.get(name, 1.0) * told[name].slope for name in by], axis=0)
     slope[_trim_at(optimum.point, k)] = (1 - weights.sum()) * max(widened.values(), default=1.0)
-    C = inverted(optimum.score.information, optimum.free)[: slope.size, : slope.size]
+    C = optimum.covariance[: slope.size, : slope.size]
     return float(np.sqrt(max(slope @ C @ slope, 0.0)))
 
 
@@ -61,9 +61,9 @@ def trim_error(estimate: Estimate) -> float:
     """
     optimum, k = estimate.optimum, estimate.place
     damping = estimands(optimum, k)["damping"].value
-    missed = 1.0 - _response(np.exp(optimum.point.levels[k, :4]), damping).sum()
+    missed = 1.0 - _response(tuple(optimum.point.levels[k, :4]), damping).sum()
     at = _trim_at(optimum.point, k)
-    return float(abs(missed) * np.sqrt(inverted(optimum.score.information, optimum.free)[at, at]))
+    return float(abs(missed) * np.sqrt(optimum.covariance[at, at]))
 
 
 def _trim_at(point: Point, k: int) -> int:
@@ -71,15 +71,21 @@ def _trim_at(point: Point, k: int) -> int:
     return point.coefficients + point.trim.size - point.gain.size + k
 
 
-def _response(levels: Array, damping: float) -> Array:
+@functools.lru_cache(maxsize=16)
+def _response(levels: tuple[float, ...], damping: float) -> Array:
     """Weight of the push at each point of the last `BACK` seconds in the filter's wind now, the oldest first.
 
     They come from the filter's response to a constant push that begins after it has settled.
+
+    Args:
+        levels: Logarithms of the levels of the disturbance.
+        damping: Of the axis [1/s].
     """
+    powers = np.exp(levels)
     time = np.arange(round(2 * BACK * RATE)) / RATE
     pushed = np.maximum(time - BACK, 0.0)
     fallen = (pushed + np.expm1(-damping * pushed) / damping) / damping
-    means, _ = disturbance_states(*distinct_steps(time), fallen, np.full(time.size, levels[1]), levels)
+    means, _ = disturbance_states(*distinct_steps(time), fallen, np.full(time.size, powers[1]), powers)
     answer = means[time >= BACK] @ np.array([0.0, damping, 1.0])
     return np.asarray(np.diff(answer, prepend=0.0)[::-1])
 
@@ -92,8 +98,9 @@ def _command(flight: Flight, axis: str, time: Array) -> Array:
 
 def _velocity(flight: Flight, axis: str, time: Array) -> Array:
     """The velocity along an axis of the heading frame at each time, from the poses, shape of `time` [m/s, rad/s]."""
-    pose = np.column_stack([flight.position, flight.yaw])
-    there = np.column_stack([np.interp(time, flight.pose_time, values) for values in pose.T])
+    i = max(int(np.searchsorted(flight.pose_time, time[0])) - 1, 0)
+    pose = np.column_stack([flight.position[i:], flight.yaw[i:]])
+    there = np.column_stack([np.interp(time, flight.pose_time[i:], values) for values in pose.T])
     v = np.gradient(there, time, axis=0)
     v[:, :2] = heading_from_world(v[:, :2], there[:, 3])
     return np.asarray(v[:, AXES.index(axis)])

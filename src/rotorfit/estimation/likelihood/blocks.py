@@ -147,11 +147,9 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
     if flight.velocity is not None and flight.velocity.of(tuple(axes)):
         return _with_velocity(flight, axes, rate)
     column = [AXES.index(axis) for axis in axes]
-    pose = np.column_stack([flight.position, flight.yaw])
-    heading = float(np.mean(flight.yaw))
+    pose, heading = [*flight.position.T, flight.yaw], float(np.mean(flight.yaw))
     if len(axes) == 1 and axes[0] in ("x", "y"):
-        pose[:, :2] = heading_from_world(pose[:, :2], np.full(len(pose), heading))
-    pose = pose[:, column]
+        pose[:2] = heading_from_world(flight.position[:, :2], np.full(flight.yaw.size, heading)).T
     t, command_time = flight.pose_time, flight.command_time
     starts, pose_range, command_range, times, index = [], [], [], [], []
     block_count = n = 0
@@ -161,7 +159,7 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
             continue
         bins = np.arange(last - first)
         if np.isfinite(rate):
-            _, bins = np.unique(np.floor((t[first:last] - t[first]) * rate + 1e-6), return_inverse=True)
+            bins = _numbered(t[first:last], rate)
         starts.append(segment.start + DELAY_RANGE[1])
         pose_range.append((n, n + last - first))
         command_range.append(np.searchsorted(command_time, [segment.start, segment.end]))
@@ -171,11 +169,11 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         block_count += bins[-1] + 1
     if not starts:
         return None
-    keep, block = np.concatenate(index), np.concatenate(times)
+    keep, block = (part[0] if len(part) == 1 else np.concatenate(part) for part in (index, times))
     count = np.bincount(block).astype(float)
     fresh = np.zeros(block_count, bool)
     fresh[block[[i for i, _ in pose_range]]] = True
-    mean = np.column_stack([np.bincount(block, q) / count for q in pose[keep].T])
+    mean = np.column_stack([np.bincount(block, pose[k][keep]) / count for k in column])
     mean -= mean[np.flatnonzero(fresh)][np.cumsum(fresh) - 1]
     yaw = flight.yaw[keep]
     block_yaw = np.bincount(block, yaw) / count
@@ -201,6 +199,11 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         held=("x" not in axes and "y" not in axes) or bool(np.ptp(block_yaw) < 2 * HELD_HEADING),
         heading=heading,
     )
+
+
+def _numbered(time: Array, rate: float) -> Indices:
+    """Number of the block of a rate [1/s] in which each of increasing times [s] lies, without those that are empty."""
+    return np.cumsum(np.diff(np.floor((time - time[0]) * rate + 1e-6), prepend=0.0) > 0)
 
 
 @dataclass(frozen=True)
@@ -229,7 +232,7 @@ def _blocks(time: Array, value: Array, low: float, high: float, rate: float) -> 
     time, value = time[first:last], value[first:last]
     block = np.arange(time.size)
     if np.isfinite(rate) and time.size:
-        _, block = np.unique(np.floor((time - time[0]) * rate + 1e-6), return_inverse=True)
+        block = _numbered(time, rate)
     count = np.bincount(block)
     mean = [np.bincount(block, part) / count for part in value.T]
     return _Blocks(time, block, np.column_stack(mean) if time.size else np.empty((0, value.shape[1])))

@@ -18,7 +18,6 @@ from rotorfit.estimation.likelihood.extra_parameters import (
     structure_at,
 )
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
-from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.noise_levels import noise_of
 from rotorfit.estimation.likelihood.optima import SAME_DELAY, SAME_LOG_DAMPING
 from rotorfit.estimation.likelihood.profile import Profile, profile
@@ -54,7 +53,7 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     if not estimate.excited or unfinished(optimum, k):
         return nothing
     structure, extras = structure_at(optimum, k), estimated_extras(optimum, k)
-    variance = np.diag(inverted(optimum.score.information, optimum.free))
+    variance = np.diag(optimum.covariance)
     index = {name: optimum.point.place(name, k) for name in (*COEFFICIENTS, *(extra.name for extra in extras))}
     profiles: dict[str, Profile] = {}
     for name, i in index.items():
@@ -186,7 +185,7 @@ def covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Ma
         optimum, places = estimates[numbers[0]].optimum, [estimates[n].place for n in numbers]
         at = [optimum.point.place(name, k) for n, k in zip(numbers, places, strict=True) for name in names[n]]
         scale = np.concatenate([_natural(optimum, k) for k in places])
-        C = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
+        C = optimum.covariance[np.ix_(at, at)]
         out[tuple(f"{group[n]}.{name}" for n in numbers for name in names[n])] = C * np.outer(scale, scale)
     return out
 

@@ -10,7 +10,6 @@ from rotorfit.core.frames import Array
 from rotorfit.core.model import Interval
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
-from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.parameters import Point
 
 
@@ -32,7 +31,7 @@ class Estimand:
 
     def error(self, optimum: Optimum) -> float:
         """Standard error on its scale, from the expected information."""
-        covariance = inverted(optimum.score.information, optimum.free)[: self.slope.size, : self.slope.size]
+        covariance = optimum.covariance[: self.slope.size, : self.slope.size]
         return float(np.sqrt(max(float(self.slope @ covariance @ self.slope), 0.0)))
 
     def scaled(self) -> float:

@@ -62,7 +62,7 @@ def further(optimum: Optimum, k: int, ends: Mapping[str, Interval]) -> Further:
         k: Index of the axis.
         ends: Their intervals in the coordinates of the estimator, by name; open ends are None.
     """
-    values, variance = optimum.point.extra_values(k), np.diag(inverted(optimum.score.information, optimum.free))
+    values, variance = optimum.point.extra_values(k), np.diag(optimum.covariance)
     extras = structure_at(optimum, k).extras
     ci95 = {extra.name: _interval(extra, ends[extra.name]) for extra in extras if extra.estimated}
     status = {extra.name: extra_status(extra, ci95[extra.name]) for extra in extras if extra.estimated}

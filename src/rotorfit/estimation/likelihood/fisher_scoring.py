@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -54,6 +55,11 @@ class Optimum:
     gain: float
     passes: int
     prior: GaussianPrior | None = None
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Inverse of the expected information over the free parameters, zero elsewhere, shape (n + L K, n + L K)."""
+        return inverted(self.score.information, self.free)
 
 
 def maximise(

@@ -22,7 +22,6 @@ from rotorfit.estimation.likelihood.coefficients import covariances, statuses, u
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, extra_status, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.law_selection import effective_samples
-from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
 from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
 from rotorfit.estimation.likelihood.richer_laws import PriorOf, estimate_laws, under_law
@@ -194,7 +193,7 @@ def _evidence(estimate: Estimate, share: float) -> float:
     optimum, k = estimate.optimum, estimate.place
     extras, values = estimated_extras(optimum, k), optimum.point.extra_values(k)
     at = [optimum.point.place(extra.name, k) for extra in extras]
-    covariance = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)] / share
+    covariance = optimum.covariance[np.ix_(at, at)] / share
     spent = 0.0
     for i, extra in enumerate(extras):
         known = covariance[i, :i] @ np.linalg.pinv(covariance[:i, :i], hermitian=True) @ covariance[:i, i]
@@ -315,4 +314,4 @@ def _lag_share(estimate: Estimate) -> float | None:
     if lag is None or optimum.prior is None:
         return None
     at = optimum.point.place(lag, k)
-    return float(inverted(optimum.score.information, optimum.free)[at, at] / LAG_SPREAD**2)
+    return float(optimum.covariance[at, at] / LAG_SPREAD**2)

@@ -23,7 +23,6 @@ from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.combinations import delay_plus_lag
 from rotorfit.estimation.likelihood.extra_parameters import separable
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
-from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import between, dynamics_of, start_point, thinned
 from rotorfit.estimation.likelihood.richer_laws import applicable_structure, single
 
@@ -196,7 +195,7 @@ def _longest_delay(estimate: Estimate) -> float:
     """Largest absolute delay within two standard errors of the estimate [s]."""
     optimum, k = estimate.optimum, estimate.place
     place = 2 * optimum.point.gain.size + k
-    variance = inverted(optimum.score.information, optimum.free)[place, place]
+    variance = optimum.covariance[place, place]
     return float(abs(optimum.point.delay[k]) + 2 * np.sqrt(variance))
 
 

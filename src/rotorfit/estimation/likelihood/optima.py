@@ -248,7 +248,10 @@ def between(flight: Flight, low: float, high: float) -> Flight:
     """The part of a flight between two times [s], from the command in force at the first of them."""
     t = flight.command_time
     low = float(t[max(int(np.searchsorted(t, low, side="right")) - 1, 0)])
-    commands, poses = (t >= low) & (t <= high), (flight.pose_time >= low) & (flight.pose_time <= high)
+    commands, poses = (
+        slice(int(np.searchsorted(stamps, low)), int(np.searchsorted(stamps, high, side="right")))
+        for stamps in (t, flight.pose_time)
+    )
     return replace(
         flight,
         span=(max(low, flight.span[0]), min(high, flight.span[1])),

@@ -10,7 +10,7 @@ from rotorfit.core.model import Interval
 from rotorfit.core.results import student_quantile
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
-from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, inverted, level_share
+from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, level_share
 from rotorfit.estimation.likelihood.parameters import Point
 
 NOT_WALKED = 0.1
@@ -114,7 +114,7 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
     direction = np.zeros(values.size - optimum.point.levels.size)
     direction[index] = 1.0
     best, reach = float(values[index]), quantile(optimum, direction)
-    error = float(np.sqrt(inverted(optimum.score.information, optimum.free)[index, index]))
+    error = float(np.sqrt(optimum.covariance[index, index]))
     low, high = (float(bound[index]) for bound in optimum.point.bounds())
     first = _first_step(optimum.point, index, reach * error)
     points = [(best, 0.0)]

@@ -22,7 +22,6 @@ import numpy as np
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
-from rotorfit.estimation.likelihood.likelihood import inverted
 
 GRID = np.geomspace(1e-3, 1e4, 201)
 """Values of s that are averaged over, in units of S; they have equal steps of the logarithm."""
@@ -34,7 +33,7 @@ LEAST = 1e-12
 def trims_of(optimum: Optimum) -> tuple[Array, Array]:
     """Trims of the flights and their variances, both of shape (F, K)."""
     trim, first = optimum.point.trim, optimum.point.coefficients
-    variance = np.diag(inverted(optimum.score.information, optimum.free))
+    variance = np.diag(optimum.covariance)
     return trim, variance[first : first + trim.size].reshape(trim.shape)
 
 
