@@ -21,7 +21,7 @@ from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.command_response import TURNING
 from rotorfit.diagnosis.doctor import SHORT_TIME
 from rotorfit.diagnosis.frame_checks import OVER
-from rotorfit.diagnosis.position_loop import restored
+from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
 from rotorfit.estimation.likelihood.outliers import outlier_findings
@@ -161,7 +161,7 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
             "not_excited",
             "warning",
             f"the {name} command is only a response to the motion, as from a position controller"
-            if restored(flights, name)
+            if restored_axes(flights, [name])
             else f"the {name} command explains nothing: with it the motion is predicted no better than without it",
             f"no coefficient of {name} is a number",
             f"fly {name} with the paper's two sines or larger steps, not only with a position controller's corrections",

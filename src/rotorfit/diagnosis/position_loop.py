@@ -9,6 +9,7 @@ are late, or those of the commands early.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 
@@ -77,10 +78,12 @@ def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> La
     begin = _begins(flight, motion)
     if begin.size < LEAST:
         return None
-    u = _averages(flight.command_time, flight.command[:, k : k + 1], begin)[:, 0]
+    command = _integral(flight.command_time, flight.command[:, k : k + 1])
+    u = _averages(flight.command_time, command, begin)[:, 0]
     if not np.ptp(u) > 0:  # all changes are at the ends, where no motion is measured
         return None
-    place, velocity = _place(flight, k), motion.velocity[:, k : k + 1]
+    velocity = _integral(motion.time, motion.velocity[:, k : k + 1])
+    place = _integral(flight.pose_time, _place(flight, k))
     fits = [
         _fitted(u, _averages(motion.time, velocity, begin + lag), _averages(flight.pose_time, place, begin + lag))
         for lag in LAGS
@@ -103,12 +106,19 @@ def _begins(flight: Flight, motion: Motion) -> Array:
     return begin[:: max(1, begin.size // THINNED)]
 
 
-def _averages(time: Array, value: Array, begin: Array) -> Array:
-    """Means of signals (N, C) over `AVERAGED` from each beginning (R,), shape (R, C)."""
+def _integral(time: Array, value: Array) -> Array:
+    """Integral of signals (N, C) over time, by trapezoids, shape (N, C)."""
     middle = 0.5 * (value[1:] + value[:-1]) * np.diff(time)[:, None]
-    whole = np.vstack([np.zeros(value.shape[1]), np.cumsum(middle, axis=0)])
+    return np.vstack([np.zeros(value.shape[1]), np.cumsum(middle, axis=0)])
+
+
+def _averages(time: Array, integral: Array, begin: Array) -> Array:
+    """Means over `AVERAGED` from each beginning (R,) of the signals with these integrals (N, C), shape (R, C)."""
     return np.column_stack(
-        [(np.interp(begin + AVERAGED, time, column) - np.interp(begin, time, column)) / AVERAGED for column in whole.T]
+        [
+            (np.interp(begin + AVERAGED, time, column) - np.interp(begin, time, column)) / AVERAGED
+            for column in integral.T
+        ]
     )
 
 
@@ -130,10 +140,20 @@ def _fitted(u: Array, velocity: Array, place: Array) -> tuple[float, float, Arra
     return left[1], left[0], np.asarray(solution[:2], np.float64)
 
 
-def restored(flights: Sequence[Flight], axis: str) -> bool:
-    """Whether each flight that commands an axis only holds it by such a law."""
-    moving = [f for f in flights if axis in f.axes and np.ptp(f.command[:, AXES.index(axis)]) > 0]
-    return bool(moving) and all(restoring_law(flight, axis) is not None for flight in moving)
+def restored_axes(flights: Sequence[Flight], axes: Sequence[str]) -> tuple[str, ...]:
+    """The axes, of those given, that each flight which commands them only holds by such a law."""
+    motions = [cache(partial(motion_from_flight, flight)) for flight in flights]
+
+    def held(axis: str) -> bool:
+        k = AXES.index(axis)
+        moving = [
+            (flight, motion)
+            for flight, motion in zip(flights, motions, strict=True)
+            if axis in flight.axes and np.ptp(flight.command[:, k]) > 0
+        ]
+        return bool(moving) and all(restoring_law(flight, axis, motion()) is not None for flight, motion in moving)
+
+    return tuple(axis for axis in axes if held(axis))
 
 
 def restoring_findings(recording: Recording) -> Iterator[Finding]:

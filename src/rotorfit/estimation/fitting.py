@@ -13,7 +13,7 @@ from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, structu
 from rotorfit.core.model import NORMAL, STRUCTURE, Axis, Model, Plain, Predictor, Source, first_order, unknown_axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Outliers, PaperFit
-from rotorfit.diagnosis.position_loop import restored
+from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
 from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes
 from rotorfit.estimation.identifiability import LEAST_TIME
@@ -388,7 +388,8 @@ def estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Prio
         return {}
     # Commands that only hold the position excite nothing, even where the stamps of different clocks place them before
     # the motion to which they respond.
-    moving = [any(commands_axis(f, axis) for f in serving) and not restored(serving, axis) for axis in group]
+    held = restored_axes(serving, group)
+    moving = [any(commands_axis(f, axis) for f in serving) and axis not in held for axis in group]
     if all(rec.held for rec in records):
         estimates = [
             estimate_axis(serving, a, moves, gaussian_prior(priors, [a]))

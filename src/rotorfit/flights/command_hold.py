@@ -172,19 +172,21 @@ def _share(
         return None
     row = row[::every]
     time: Array = base + seen.step * row.astype(np.float64)
+    more = followed.value[: len(ended.value)] - ended.value
     found = []
     for axis in axes:
         velocity = seen.value[row, motion_column(axis, world)]
-        if not np.ptp(velocity):
+        if not np.ptp(velocity) or not np.abs(velocity).max() < FASTEST:
             continue
-        fits = [
-            _regressed(time, velocity, ended.value[:, k], followed.value[: len(ended.value), k], delay)
-            for k in AXES.index(axis) * len(DAMPINGS) + np.arange(len(DAMPINGS))
-            for delay in DELAYS
-        ]
-        left = [fit for fit in fits if fit is not None]
-        if left:
-            found.append(min(left, key=lambda fit: fit[0])[1])
+        change, first = np.diff(velocity), AXES.index(axis) * len(DAMPINGS)
+        both = ended.value[:, first : first + len(DAMPINGS)], more[:, first : first + len(DAMPINGS)]
+        left = np.concatenate([_unexplained(change, _regressors(time - delay, *both)) for delay in DELAYS])
+        for best in np.argsort(left)[: np.sum(np.isfinite(left))]:
+            delay, damping = divmod(int(best), len(DAMPINGS))
+            X = _regressors(time - DELAYS[delay], *(part[:, damping : damping + 1] for part in both))[0]
+            if share := _regressed(change, X, time):
+                found.append(share)
+                break
     weights = np.array([1 / share.error**2 for share in found])
     if not found:
         return None
@@ -192,32 +194,51 @@ def _share(
     return Share(value, float(1 / np.sqrt(weights.sum())))
 
 
-def _regressed(time: Array, velocity: Array, ended: Array, followed: Array, delay: float) -> tuple[float, Share] | None:
-    """Regresses changes of a velocity on those of two responses: residual sum of squares and share; None if singular.
+def _regressors(time: Array, ended: Array, more: Array) -> Array:
+    """A trend and the changes of two responses from each time to the next, for B dampings, shape (B, N - 1, 3).
+
+    Args:
+        time: Shape (N,) [s].
+        ended: Response to the commands with the gaps ended, every `ANSWER_STEP`, shape (M, B).
+        more: Additional response if the commands are kept, shape (M, B).
+    """
+    place = np.clip(time / ANSWER_STEP, 0, len(ended) - 1)
+    low = np.minimum(place.astype(np.int64), len(ended) - 2)
+    part = (place - low)[:, None]
+    X = np.ones((ended.shape[1], time.size - 1, 3))
+    for k, response in enumerate((ended, more), 1):
+        X[:, :, k] = np.diff((1 - part) * response[low] + part * response[low + 1], axis=0).T
+    return X
+
+
+def _unexplained(change: Array, X: Array) -> Array:
+    """Sum of the squared changes that each of B sets of regressors leaves unexplained; infinite if it is singular."""
+    left = np.full(len(X), np.inf)
+    meant = np.flatnonzero(np.abs(X).max(axis=(1, 2)) < MEANINGLESS)
+    gram = np.swapaxes(X[meant], 1, 2) @ X[meant]
+    regular = np.linalg.matrix_rank(gram) == X.shape[2]
+    for i, G in zip(meant[regular], gram[regular], strict=True):
+        rest = change - X[i] @ np.linalg.solve(G, X[i].T @ change)
+        left[i] = rest @ rest
+    return left
+
+
+def _regressed(change: Array, X: Array, time: Array) -> Share | None:
+    """Regresses changes of a velocity on those of two responses; None without a standard error.
 
     Source: standard errors clustered by time, K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986), pp. 13-22.
     """
-    if not np.abs(velocity).max() < FASTEST:
-        return None
-    clock = ANSWER_STEP * np.arange(len(ended))
-    both = [np.interp(time - delay, clock, part) for part in (ended, followed - ended)]
-    X = np.column_stack([np.ones(time.size - 1), *(np.diff(part) for part in both)])
-    y = np.diff(velocity)
-    if not np.abs(X).max() < MEANINGLESS:
-        return None
     gram = X.T @ X
-    if not np.all(np.isfinite(gram)) or np.linalg.matrix_rank(gram) < 3:
-        return None
-    theta = np.linalg.solve(gram, X.T @ y)
-    rest = y - X @ theta
+    theta = np.linalg.solve(gram, X.T @ change)
+    rest = change - X @ theta
     group = np.floor((time[1:] - time[0]) / TOGETHER).astype(np.int64)
     scores = np.column_stack([np.bincount(group, column) for column in (X * rest[:, None]).T])
     inverse = np.linalg.inv(gram)
     _, whole, part = theta
     slope = inverse @ [0.0, -part / whole**2, 1 / whole]
-    alike = float(rest @ rest) / max(y.size - 3, 1)  # few gaps make few clusters: use the pooled variance then
+    alike = float(rest @ rest) / max(change.size - 3, 1)  # few gaps make few clusters: use the pooled variance then
     error = float(np.sqrt(max(slope @ (scores.T @ scores) @ slope, alike * (slope @ gram @ slope))))
-    return (float(rest @ rest), Share(float(part / whole), error)) if np.isfinite(error) and error > 0 else None
+    return Share(float(part / whole), error) if np.isfinite(error) and error > 0 else None
 
 
 def _sentence(levels: list[_Level], hold: float, found: str) -> str:
