@@ -201,6 +201,11 @@ def _quaternion_line(pose: Recognised) -> str:
 CLEARER = 0.7
 """Largest share of the residual variance that another reading of the pose may leave to be preferred."""
 
+TOGETHER = 0.9
+"""Share of a command that is in the others from which that is the reason why the motion does not tell what it does.
+Where one pair of sines is flown on all axes at once it is 0.93 to 1. On recorded flights whose motion tells the commands
+apart it is 0.02 to 0.93."""
+
 MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
 
 _DIRECTIONS = {
@@ -394,6 +399,8 @@ def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) ->
         return "does not move in this log: EDIT, sign unknown"
     sure, explained = f"{answer.certainty:.0f} standard errors", f"{100 * answer.explained:.0f} % explained"
     figures = f"{sure}, {explained}, delay and time constant together {answer.lag:.1f} s"
+    if answer.axis != axis and answer.shared > TOGETHER:
+        return f"EDIT: the motion does not tell the sign: {100 * answer.shared:.0f} % of this command is in the others"
     if answer.axis is None:
         return f"EDIT: the motion does not tell the sign ({figures})"
     if answer.axis != axis:

@@ -61,6 +61,8 @@ class CommandResponse:
         certainty: Effect on that axis, in standard errors.
         explained: Share of the variance of the velocity along that axis explained by all commands together.
         lag: Delay plus time constant of the response [s].
+        shared: Share of the variance of the command that the other commands explain. Where it is nearly all, the motion
+            does not tell the commands apart.
     """
 
     axis: str | None
@@ -68,6 +70,7 @@ class CommandResponse:
     certainty: float
     explained: float
     lag: float
+    shared: float
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
     left = {frame: fits[frame][0].left + fits[frame][1].left for frame in frames}
     turned = bool(np.std(motion.yaw) > TURNING) and bool({"x", "y"} & set(names))
     frame: Literal["heading", "world"] = "world" if turned and left["world"] < BETTER * left["heading"] else "heading"
-    found = {name: _answer(fits[frame], j) for j, name in enumerate(names)}
+    found = {name: _answer(fits[frame], j, _shared(lagged, motion.time, j)) for j, name in enumerate(names)}
     return Answers(frame if turned else None, found, left[frame])
 
 
@@ -165,6 +168,18 @@ def _along(motion: Motion, frame: str, k: int) -> Array:
     return motion.velocity[:, k]
 
 
+def _shared(lagged: list[tuple[float, Array]], time: Array, j: int) -> float:
+    """Share of the variance of a command, smoothed least, that the others explain, smoothed by every time constant."""
+    smoothed = [commands for _, commands in lagged[:: len(DELAYS)]]
+    rest = np.column_stack([np.ones_like(time), time - time.mean()])
+    others = np.column_stack([*(np.delete(commands, j, axis=1) for commands in smoothed), rest])
+    alone, left = (
+        float(np.sum((smoothed[0][:, j] - design @ _solved(design, smoothed[0][:, j])) ** 2))
+        for design in (rest, others)
+    )
+    return 1 - left / alone if alone > 0 else 0.0
+
+
 def _fit(lagged: list[tuple[float, Array]], time: Array, velocity: Array) -> _Fit:
     """Effects of the commands on the velocity along one axis."""
     rest = np.column_stack([np.ones_like(time), time - time.mean()])
@@ -184,10 +199,11 @@ def _solved(design: Array, target: Array) -> Array:
     return np.asarray(np.linalg.lstsq(design, target, rcond=None)[0])
 
 
-def _answer(fits: list[_Fit], j: int) -> CommandResponse:
+def _answer(fits: list[_Fit], j: int, shared: float) -> CommandResponse:
     """The axis that a command moves most significantly."""
     order = sorted(range(4), key=lambda k: -abs(fits[k].effect[j]))
     first, second = fits[order[0]], fits[order[1]]
     told = float(first.effect[j])
     sure = abs(told) > max(SIGNIFICANT, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
-    return CommandResponse(AXES[order[0]] if sure else None, int(np.sign(told)), abs(told), first.explained, first.lag)
+    axis = AXES[order[0]] if sure else None
+    return CommandResponse(axis, int(np.sign(told)), abs(told), first.explained, first.lag, shared)
