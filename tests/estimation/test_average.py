@@ -196,9 +196,8 @@ def test_no_law_brings_back_an_optimum_that_the_search_has_left_out(
     real_flights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Yaw of the Bebop 2 is only held in these parts of a flight: one predicts worse, one is its controller."""
-    monkeypatch.setattr(
-        fitting, "restored", lambda *_: False
-    )  # as of an axis that a loop holds and something else moves
+    # as of an axis that a loop holds and something else moves
+    monkeypatch.setattr(fitting, "restored_axes", lambda *_: ())
     folder = real_flights / "bebop2-wsu"
     early, late = (
         fit(

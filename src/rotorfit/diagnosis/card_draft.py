@@ -203,8 +203,8 @@ CLEARER = 0.7
 
 TOGETHER = 0.9
 """Share of a command that is in the others from which that is the reason why the motion does not tell what it does.
-Where one pair of sines is flown on all axes at once it is 0.93 to 1. On recorded flights whose motion tells the commands
-apart it is 0.02 to 0.93."""
+Where one pair of sines is flown on all axes at once it is 0.93 to 1; on recorded flights whose motion tells the
+commands apart it is 0.02 to 0.93."""
 
 MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
 
