@@ -230,13 +230,16 @@ def test_what_does_not_move_is_marked_to_be_checked() -> None:
     assert 'z = "cmd_z"  # does not move in this log: EDIT, sign unknown' in text
 
 
-def test_a_command_that_is_the_same_as_another_is_named_as_such() -> None:
+def test_what_the_other_commands_hold_is_neither_turned_nor_moved_to_another_axis(tmp_path: Path) -> None:
     columns = {"time": T, **motion(world=False), **{f"cmd_{axis}": series for axis, series in COMMAND.items()}}
 
-    text = draft_card(log_of(flight=columns | {"cmd_yaw": COMMAND["z"]}))
+    text = draft_card(log_of(flight=columns | {"cmd_z": -COMMAND["z"], "cmd_yaw": COMMAND["z"]}))
 
-    (line,) = (line for line in text.splitlines() if line.startswith("yaw = ") and "cmd_yaw" in line)
-    assert "EDIT: the motion does not tell the sign: 100 % of this command is in the others" in line
+    channels = loaded(text, tmp_path).command
+    for axis in ("z", "yaw"):
+        assert (channels[axis].source, channels[axis].scale) == (f"cmd_{axis}", 1)
+        (line,) = (line for line in text.splitlines() if line.startswith(f'{axis} = "cmd_{axis}"'))
+        assert "EDIT: the motion does not tell the sign: 100 % of this command is in the others" in line
 
 
 def test_a_draft_takes_the_heading_of_another_table_and_names_states_and_references() -> None:

@@ -17,7 +17,7 @@ from rotorfit.core.plain import line_of, plain_toml, toml_text, visible
 from rotorfit.core.results import Motion
 from rotorfit.core.writing import write_whole
 from rotorfit.diagnosis.card_choice import proposal
-from rotorfit.diagnosis.command_response import BETTER, Answers, CommandResponse, answers_of
+from rotorfit.diagnosis.command_response import BETTER, SHARED, Answers, CommandResponse, answers_of
 from rotorfit.diagnosis.frame_checks import height_sign, overturned
 from rotorfit.diagnosis.pose_checks import position_unit
 from rotorfit.diagnosis.recognition import (
@@ -200,11 +200,6 @@ def _quaternion_line(pose: Recognised) -> str:
 
 CLEARER = 0.7
 """Largest share of the residual variance that another reading of the pose may leave to be preferred."""
-
-TOGETHER = 0.9
-"""Share of a command that is in the others from which that is the reason why the motion does not tell what it does.
-Where one pair of sines is flown on all axes at once it is 0.93 to 1; on recorded flights whose motion tells the
-commands apart it is 0.02 to 0.93."""
 
 MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
 
@@ -399,10 +394,9 @@ def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) ->
         return "does not move in this log: EDIT, sign unknown"
     sure, explained = f"{answer.certainty:.0f} standard errors", f"{100 * answer.explained:.0f} % explained"
     figures = f"{sure}, {explained}, delay and time constant together {answer.lag:.1f} s"
-    if answer.axis != axis and answer.shared > TOGETHER:
-        return f"EDIT: the motion does not tell the sign: {100 * answer.shared:.0f} % of this command is in the others"
     if answer.axis is None:
-        return f"EDIT: the motion does not tell the sign ({figures})"
+        shared = f": {100 * answer.shared:.0f} % of this command is in the others"
+        return f"EDIT: the motion does not tell the sign{shared if answer.shared > SHARED else f' ({figures})'}"
     if answer.axis != axis:
         return f"EDIT: the motion follows it along {answer.axis} ({figures})"
     renamed = f", though named like {name}" if name != axis else ""

@@ -44,6 +44,11 @@ follow the motion, and their sign is that of the loop."""
 CLEARLY = 1.5
 """Least ratio of the significance of one axis to that of any other for a command to belong to it."""
 
+SHARED = 0.9
+"""Share of a command that is in the others above which the motion may bear out what its name says, and not contradict
+it: the others stand in for it. Where one pair of sines is flown on all axes at once it is 0.93 to 1; on recorded
+flights, whose motion tells the commands apart, it is 0.02 to 0.93."""
+
 TURNING = np.radians(20.0)
 """Standard deviation of yaw above which frames are distinguishable: below, a rotated frame is a wrong zero of yaw."""
 
@@ -126,7 +131,7 @@ def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
     left = {frame: fits[frame][0].left + fits[frame][1].left for frame in frames}
     turned = bool(np.std(motion.yaw) > TURNING) and bool({"x", "y"} & set(names))
     frame: Literal["heading", "world"] = "world" if turned and left["world"] < BETTER * left["heading"] else "heading"
-    found = {name: _answer(fits[frame], j, _shared(lagged, motion.time, j)) for j, name in enumerate(names)}
+    found = {name: _answer(fits[frame], j, name, _shared(lagged, motion.time, j)) for j, name in enumerate(names)}
     return Answers(frame if turned else None, found, left[frame])
 
 
@@ -199,11 +204,12 @@ def _solved(design: Array, target: Array) -> Array:
     return np.asarray(np.linalg.lstsq(design, target, rcond=None)[0])
 
 
-def _answer(fits: list[_Fit], j: int, shared: float) -> CommandResponse:
+def _answer(fits: list[_Fit], j: int, name: str, shared: float) -> CommandResponse:
     """The axis that a command moves most significantly."""
     order = sorted(range(4), key=lambda k: -abs(fits[k].effect[j]))
     first, second = fits[order[0]], fits[order[1]]
     told = float(first.effect[j])
     sure = abs(told) > max(SIGNIFICANT, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
-    axis = AXES[order[0]] if sure else None
+    borne_out = AXES[order[0]] == name and told > 0
+    axis = AXES[order[0]] if sure and (borne_out or not shared > SHARED) else None
     return CommandResponse(axis, int(np.sign(told)), abs(told), first.explained, first.lag, shared)
