@@ -65,12 +65,13 @@ def _start(row: Array, first: int, levels: Array, g: int) -> None:
 
 
 # One axis: slots 0 to 5 hold the upper triangle of the covariance, 6 to 17 the step from `_fill_tables`, 18
-# the noise, 19 to 21 the gain, 22 the innovation variance.
+# the noise, 19 to 21 the gain, 22 the innovation variance, 23 to 25 the state of the first column, 26 its innovation, 27
+# one over the standard deviation of the innovation.
 
 
 @inner(fastmath={"contract"})
-def _measure(w: Array, share: float, lanes: int) -> None:
-    """Updates the covariance of one group of filters with a position measurement of noise `share` r, in place."""
+def _measure(w: Array, share: float, position: float, lanes: int) -> None:
+    """Updates one group of filters with a position measurement of noise `share` r, in place."""
     for m in range(lanes):
         p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
         S = p00 + share * w[72 + m]
@@ -78,11 +79,13 @@ def _measure(w: Array, share: float, lanes: int) -> None:
         w[m], w[4 + m], w[8 + m] = p00 - g0 * p00, p01 - g0 * p01, p02 - g0 * p02
         w[12 + m], w[16 + m], w[20 + m] = p11 - g1 * p01, p12 - g1 * p02, p22 - g2 * p02
         w[76 + m], w[80 + m], w[84 + m], w[88 + m] = g0, g1, g2, S
+        w[92 + m], w[96 + m], w[100 + m], w[104 + m] = g0 * position, g1 * position, g2 * position, position
+        w[108 + m] = 1.0 / np.sqrt(S)
 
 
 @inner(fastmath={"contract"})
-def _step_and_measure(w: Array, share: float, lanes: int) -> None:
-    """Propagates the covariance of one group of filters by a step, P <- F P F^T + Q, and updates it as `_measure`."""
+def _step_and_measure(w: Array, share: float, position: float, lanes: int) -> None:
+    """Propagates one group of filters by a step, P <- F P F^T + Q, and updates it with a position as `_measure`."""
     for m in range(lanes):
         f01, f02, f11, f12, f21, f22 = w[24 + m], w[28 + m], w[32 + m], w[36 + m], w[40 + m], w[44 + m]
         p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
@@ -100,6 +103,11 @@ def _step_and_measure(w: Array, share: float, lanes: int) -> None:
         w[m], w[4 + m], w[8 + m] = p00 - g0 * p00, p01 - g0 * p01, p02 - g0 * p02
         w[12 + m], w[16 + m], w[20 + m] = p11 - g1 * p01, p12 - g1 * p02, p22 - g2 * p02
         w[76 + m], w[80 + m], w[84 + m], w[88 + m] = g0, g1, g2, S
+        s, d = w[96 + m], w[100 + m]
+        expected = w[92 + m] + f01 * s + f02 * d
+        e = position - expected
+        w[92 + m], w[96 + m], w[100 + m] = expected + g0 * e, f11 * s + f12 * d + g1 * e, f21 * s + f22 * d + g2 * e
+        w[104 + m], w[108 + m] = e, 1.0 / np.sqrt(S)
 
 
 @inner(fastmath={"contract"})
@@ -146,7 +154,7 @@ def _groups(levels: Array) -> int:
 def whiten_axis(
     steps: Array, step: Indices, count: Array, fresh: Mask, columns: Array, levels: Array, few: int
 ) -> tuple[Array, Array, Array]:
-    """Filters columns of one axis with M filters; fastest where C and `few` are multiples of `LANES`.
+    """Filters columns of one axis with M filters. The first column goes side by side with the covariances.
 
     Args:
         steps: Distinct steps between blocks, shape (U,) [s].
@@ -155,7 +163,7 @@ def whiten_axis(
         fresh: True where a segment starts and the filters restart, shape (B,).
         columns: Data and sensitivities, shape (B, C).
         levels: q, r, alpha, kappa of each filter, shape (M, 4).
-        few: Number of columns for the filters after the first; the first filters all.
+        few: Number of columns for the filters after the first, at least one; the first filters all.
 
     Returns:
         Innovations over their standard deviation of the first filter, (B, C), and of the others, (M - 1, B, few); and
@@ -165,8 +173,8 @@ def whiten_axis(
     out, others, variances = np.empty((B, C)), np.empty((M - 1, B, few)), np.empty((M, B))
     _whiten_axis(
         steps, step, count, fresh, np.ascontiguousarray(columns), np.ascontiguousarray(levels), LANES, np.empty((3, 3)),
-        np.empty((3, 3)), np.empty((steps.size, _groups(levels), 12 * LANES)), np.zeros(23 * LANES),
-        np.empty((M, B, 4)), np.empty(3 * WIDTH), out, others, variances,
+        np.empty((3, 3)), np.empty((steps.size, _groups(levels), 12 * LANES)), np.zeros(28 * LANES),
+        np.empty((M if few > 1 else 1, B, 4)), np.empty(3 * WIDTH), out, others, variances,
     )  # fmt: skip
     return out, others, variances
 
@@ -181,7 +189,7 @@ def _whiten_axis(
     Work space is allocated in Python, here and elsewhere: a kernel that allocates arrays takes twice as long to
     compile.
     """
-    B, C, M, few = columns.shape[0], columns.shape[1], levels.shape[0], others.shape[2]
+    B, C, M, few, kept = columns.shape[0], columns.shape[1], levels.shape[0], others.shape[2], gains.shape[0]
     _fill_tables(steps, levels, F, Q, table)
     for g in range(table.shape[1]):
         for m in range(LANES):
@@ -189,27 +197,32 @@ def _whiten_axis(
         for i in range(B):
             if fresh[i]:
                 _start(w, g - g, levels, g)  # a zero that is not a literal: a literal would cause another compilation
-                _measure(w, 1.0 / count[i], lanes)
+                _measure(w, 1.0 / count[i], columns[i, 0], lanes)
             else:
                 for n in range(12 * LANES):
                     w[6 * LANES + n] = table[step[i], g, n]
-                _step_and_measure(w, 1.0 / count[i], lanes)
+                _step_and_measure(w, 1.0 / count[i], columns[i, 0], lanes)
             for m in range(g * LANES, min((g + 1) * LANES, M)):
                 at = m % LANES
-                S = w[22 * LANES + at]
-                variances[m, i] = S
-                gains[m, i, 0], gains[m, i, 1], gains[m, i, 2] = w[76 + at], w[80 + at], w[84 + at]
-                gains[m, i, 3] = 1.0 / np.sqrt(S)
-    for m in range(M):
+                variances[m, i], root = w[88 + at], w[108 + at]
+                if m == 0:
+                    out[i, 0] = w[104 + at] * root
+                else:
+                    others[m - 1, i, 0] = w[104 + at] * root
+                if m < kept:
+                    gains[m, i, 0], gains[m, i, 1], gains[m, i, 2] = w[76 + at], w[80 + at], w[84 + at]
+                    gains[m, i, 3] = root
+    for m in range(kept):
         n = C if m == 0 else few
-        for first in range(0, n, WIDTH):
+        for first in range(1, n, WIDTH):
             last, to = min(first + WIDTH, n), out if m == 0 else others[m - 1]
             _pass_axis(first, last, step, fresh, table, m // LANES, m % LANES, gains[m], columns, z, to)
 
 
 # x and y: slots 0 to 5 and 6 to 11 hold the upper triangles of the covariances of x and of y, 12 to 20 that of x with
 # y, 21 to 32 and 33 to 44 the step from `_fill_tables`, 45 and 46 the noises, 47 to 52 and 53 to 58 the gains
-# of a position of x and of y, 59 and 60 the innovation variances.
+# of a position of x and of y, 59 and 60 the innovation variances, 61 to 63 and 64 to 66 the state of the first column,
+# 67 and 68 its innovations, 69 and 70 one over their standard deviations.
 
 
 @inner(fastmath={"contract"})
@@ -221,7 +234,7 @@ def _turned(a: float, b: float, m: float, n: float, cc: float, ss: float, cs: fl
 
 @inner(fastmath={"contract"})
 def _turn(w: Array, c: float, s: float, lanes: int) -> None:
-    """Rotates the frame of one group of covariances, in place."""
+    """Rotates the frame of one group of filters, in place."""
     cc, ss, cs = c * c, s * s, c * s
     for m in range(lanes):
         w[m], w[24 + m], w[48 + m], _ = _turned(w[m], w[24 + m], w[48 + m], w[48 + m], cc, ss, cs)
@@ -230,13 +243,18 @@ def _turn(w: Array, c: float, s: float, lanes: int) -> None:
         w[12 + m], w[36 + m], w[64 + m], _ = _turned(w[12 + m], w[36 + m], w[64 + m], w[64 + m], cc, ss, cs)
         w[16 + m], w[40 + m], w[68 + m], w[76 + m] = _turned(w[16 + m], w[40 + m], w[68 + m], w[76 + m], cc, ss, cs)
         w[20 + m], w[44 + m], w[80 + m], _ = _turned(w[20 + m], w[44 + m], w[80 + m], w[80 + m], cc, ss, cs)
+        w[244 + m], w[256 + m] = c * w[244 + m] + s * w[256 + m], c * w[256 + m] - s * w[244 + m]
+        w[248 + m], w[260 + m] = c * w[248 + m] + s * w[260 + m], c * w[260 + m] - s * w[248 + m]
+        w[252 + m], w[264 + m] = c * w[252 + m] + s * w[264 + m], c * w[264 + m] - s * w[252 + m]
 
 
 @inner(fastmath={"contract"})
 def _step_plane(w: Array, lanes: int) -> None:
-    """Propagates one group of covariances by a step, in place: P <- F P F^T + Q with the transitions of x and of y."""
+    """Propagates one group of filters by a step, in place: P <- F P F^T + Q with the transitions of x and of y."""
     for m in range(lanes):
         x01, x02, x11, x12, x21, x22 = w[84 + m], w[88 + m], w[92 + m], w[96 + m], w[100 + m], w[104 + m]
+        v, d = w[248 + m], w[252 + m]
+        w[244 + m], w[248 + m], w[252 + m] = w[244 + m] + x01 * v + x02 * d, x11 * v + x12 * d, x21 * v + x22 * d
         p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
         a00, a01, a02 = p00 + x01 * p01 + x02 * p02, p01 + x01 * p11 + x02 * p12, p02 + x01 * p12 + x02 * p22
         a11, a12 = x11 * p11 + x12 * p12, x11 * p12 + x12 * p22
@@ -248,6 +266,8 @@ def _step_plane(w: Array, lanes: int) -> None:
         w[16 + m] = a11 * x21 + a12 * x22 + w[124 + m]
         w[20 + m] = a21 * x21 + a22 * x22 + w[128 + m]
         y01, y02, y11, y12, y21, y22 = w[132 + m], w[136 + m], w[140 + m], w[144 + m], w[148 + m], w[152 + m]
+        v, d = w[260 + m], w[264 + m]
+        w[256 + m], w[260 + m], w[264 + m] = w[256 + m] + y01 * v + y02 * d, y11 * v + y12 * d, y21 * v + y22 * d
         p00, p01, p02, p11, p12, p22 = w[24 + m], w[28 + m], w[32 + m], w[36 + m], w[40 + m], w[44 + m]
         a00, a01, a02 = p00 + y01 * p01 + y02 * p02, p01 + y01 * p11 + y02 * p12, p02 + y01 * p12 + y02 * p22
         a11, a12 = y11 * p11 + y12 * p12, y11 * p12 + y12 * p22
@@ -276,8 +296,8 @@ def _step_plane(w: Array, lanes: int) -> None:
 
 
 @inner(fastmath={"contract"})
-def _measure_plane(w: Array, share: float, lanes: int) -> None:
-    """Updates one group of covariances with positions of x, then of y, of noise `share` r, in place."""
+def _measure_plane(w: Array, share: float, x: float, y: float, lanes: int) -> None:
+    """Updates one group of filters with positions of x, then of y, of noise `share` r, in place."""
     for m in range(lanes):
         S = w[m] + share * w[180 + m]
         x0, x1, x2 = w[m], w[4 + m], w[8 + m]
@@ -306,6 +326,10 @@ def _measure_plane(w: Array, share: float, lanes: int) -> None:
         w[80 + m] -= gx2 * y2
         w[188 + m], w[192 + m], w[196 + m], w[200 + m], w[204 + m], w[208 + m] = gx0, gx1, gx2, gy0, gy1, gy2
         w[236 + m] = S
+        e = x - w[244 + m]
+        w[244 + m], w[248 + m], w[252 + m] = w[244 + m] + gx0 * e, w[248 + m] + gx1 * e, w[252 + m] + gx2 * e
+        w[256 + m], w[260 + m], w[264 + m] = w[256 + m] + gy0 * e, w[260 + m] + gy1 * e, w[264 + m] + gy2 * e
+        w[268 + m], w[276 + m] = e, 1.0 / np.sqrt(S)
         S = w[24 + m] + share * w[184 + m]
         x0, x1, x2 = w[48 + m], w[60 + m], w[72 + m]
         y0, y1, y2 = w[24 + m], w[28 + m], w[32 + m]
@@ -333,6 +357,10 @@ def _measure_plane(w: Array, share: float, lanes: int) -> None:
         w[80 + m] -= gx2 * y2
         w[212 + m], w[216 + m], w[220 + m], w[224 + m], w[228 + m], w[232 + m] = gx0, gx1, gx2, gy0, gy1, gy2
         w[240 + m] = S
+        e = y - w[256 + m]
+        w[244 + m], w[248 + m], w[252 + m] = w[244 + m] + gx0 * e, w[248 + m] + gx1 * e, w[252 + m] + gx2 * e
+        w[256 + m], w[260 + m], w[264 + m] = w[256 + m] + gy0 * e, w[260 + m] + gy1 * e, w[264 + m] + gy2 * e
+        w[272 + m], w[280 + m] = e, 1.0 / np.sqrt(S)
 
 
 @inner(fastmath={"contract"})
@@ -396,7 +424,7 @@ def whiten_plane(
         yaw: Heading at the blocks, shape (B,) [rad].
         columns: Data and sensitivities in the world frame, shape (B, 2, C).
         levels: q, r, alpha, kappa of x and y of the heading frame, of each filter, shape (M, 2, 4).
-        few: Number of columns for the filters after the first; the first filters all.
+        few: Number of columns for the filters after the first, at least one; the first filters all.
 
     Returns:
         Innovations over their standard deviation, forward then left, of the first filter, (B, 2, C), and of the others,
@@ -407,7 +435,8 @@ def whiten_plane(
     _whiten_plane(
         steps, step, count, fresh, yaw, np.ascontiguousarray(columns), np.ascontiguousarray(levels.transpose(1, 0, 2)),
         LANES, np.empty((3, 3)), np.empty((3, 3)), np.empty((2, steps.size, _groups(levels), 12 * LANES)),
-        np.zeros(61 * LANES), np.empty((M, B, 14)), np.empty(6 * WIDTH), np.empty((B, 2, C)), np.empty((B, 2)),
+        np.zeros(71 * LANES), np.empty((M if few > 1 else 1, B, 14)), np.empty(6 * WIDTH), np.empty((B, 2, C)),
+        np.empty((B, 2)),
         out, others, variances,
     )  # fmt: skip
     return out, others, variances
@@ -420,7 +449,7 @@ def _whiten_plane(
     variances: Array,
 ) -> None:  # fmt: skip
     """The compiled loop, like `_whiten_axis`; `levels` has shape (2, M, 4)."""
-    B, C, M, few = columns.shape[0], columns.shape[2], levels.shape[1], others.shape[3]
+    B, C, M, few, kept = columns.shape[0], columns.shape[2], levels.shape[1], others.shape[3], gains.shape[0]
     for a in range(2):
         _fill_tables(steps, levels[a], F, Q, tables[a])
     tx, ty = tables[0], tables[1]
@@ -439,6 +468,8 @@ def _whiten_plane(
             if fresh[i]:
                 for n in range(21 * LANES):
                     w[n] = 0.0
+                for n in range(61 * LANES, 67 * LANES):
+                    w[n] = 0.0
                 for a in range(2):
                     _start(w, 6 * a, levels[a], g)
             else:
@@ -451,15 +482,21 @@ def _whiten_plane(
                 _step_plane(w, lanes)
                 if s != 0.0:
                     _turn(w, c, s, lanes)
-            _measure_plane(w, 1.0 / count[i], lanes)
+            _measure_plane(w, 1.0 / count[i], along[i, 0, 0], along[i, 1, 0], lanes)
             for m in range(g * LANES, min((g + 1) * LANES, M)):
-                for n in range(12):
-                    gains[m, i, n] = w[(47 + n) * LANES + m % LANES]
                 for a in range(2):
-                    S = w[(59 + a) * LANES + m % LANES]
-                    variances[m, i, a], gains[m, i, 12 + a] = S, 1.0 / np.sqrt(S)
-    for m in range(M):
+                    variances[m, i, a], root = w[(59 + a) * LANES + m % LANES], w[(69 + a) * LANES + m % LANES]
+                    if m == 0:
+                        out[i, a, 0] = w[(67 + a) * LANES + m % LANES] * root
+                    else:
+                        others[m - 1, i, a, 0] = w[(67 + a) * LANES + m % LANES] * root
+                    if m < kept:
+                        gains[m, i, 12 + a] = root
+                if m < kept:
+                    for n in range(12):
+                        gains[m, i, n] = w[(47 + n) * LANES + m % LANES]
+    for m in range(kept):
         n = C if m == 0 else few
-        for first in range(0, n, WIDTH):
+        for first in range(1, n, WIDTH):
             last, to = min(first + WIDTH, n), out if m == 0 else others[m - 1]
             _pass_plane(first, last, step, fresh, turn, tx, ty, m // LANES, m % LANES, gains[m], along, z, to)

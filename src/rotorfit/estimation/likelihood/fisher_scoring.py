@@ -9,7 +9,14 @@ import numpy as np
 from rotorfit.core.frames import Array, Mask
 from rotorfit.core.laws import START_LEVELS, level_range
 from rotorfit.estimation.likelihood.blocks import Record
-from rotorfit.estimation.likelihood.likelihood import LikelihoodScore, Restriction, inverted, restriction, score
+from rotorfit.estimation.likelihood.likelihood import (
+    LikelihoodScore,
+    LinearAdjustment,
+    Restriction,
+    inverted,
+    restriction,
+    score,
+)
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
 
@@ -62,6 +69,44 @@ class Optimum:
         return inverted(self.score.information, self.free)
 
 
+@dataclass
+class _Objective:
+    """What is maximised. Away from its last exact pass, but near it, the adjustment is taken to first order.
+
+    Attributes:
+        records: The flights.
+        restricted: The restriction of the likelihood; None where levels are held.
+        prior: Added to the objective, if there is one.
+        linear: The adjustment to first order, updated by every exact pass; None before the first.
+    """
+
+    records: Sequence[Record]
+    restricted: Restriction | None
+    prior: GaussianPrior | None
+    linear: LinearAdjustment | None
+
+    def exact(self, point: Point) -> LikelihoodScore:
+        """The score at a point."""
+        there = score(self.records, point, self.restricted)
+        self.linear = there.linear
+        return with_prior(there, point, self.prior)
+
+    def near(self, point: Point) -> LikelihoodScore:
+        """The score at a point, with the adjustment to first order where that is near enough."""
+        if self.linear is None or not self.linear.near(point.levels):
+            return self.exact(point)
+        return with_prior(score(self.records, point, self.linear), point, self.prior)
+
+    def readjusted(self, earlier: LikelihoodScore, point: Point) -> LikelihoodScore:
+        """An earlier score at a point, with the adjustment as it is now, so that objectives can be compared."""
+        if self.linear is None or earlier.linear is None or earlier.linear is self.linear:
+            return earlier
+        gradient = earlier.gradient.copy()
+        gradient[point.n :] += self.linear.slope - earlier.linear.slope
+        adjustment = earlier.adjustment + self.linear.at(point.levels) - earlier.linear.at(point.levels)
+        return replace(earlier, adjustment=adjustment, gradient=gradient, linear=self.linear)
+
+
 def maximise(
     records: Sequence[Record],
     point: Point,
@@ -71,6 +116,7 @@ def maximise(
     tolerance: float = 1e-3,
     most: int = 80,
     prior: GaussianPrior | None = None,
+    linear: LinearAdjustment | None = None,
 ) -> Optimum:
     """Maximises the likelihood: Fisher scoring, with a secant (BFGS) correction of the information near the top.
 
@@ -84,10 +130,12 @@ def maximise(
         tolerance: Expected gain in log-likelihood below which to stop.
         most: Number of passes at which to stop.
         prior: Added to the objective.
+        linear: The adjustment near the start, to first order, where that suffices; by default the last pass is exact.
     """
     if restricted is None and free[-1]:
         restricted = restriction(records, point, free)
-    best = with_prior(score(records, point, restricted), point, prior)
+    objective, rough = _Objective(records, restricted, prior, linear), linear is not None
+    best = objective.near(point)
     passes, active, fresh = 1, free & ~at_bound(point, best.gradient), inverse is None
     while True:
         movable = free & ~at_bound(point, best.gradient)
@@ -101,13 +149,18 @@ def maximise(
             step = inverse @ best.gradient
         gain = 0.5 * float(step @ best.gradient)
         if gain < tolerance or passes >= most:
-            break
+            if rough or best.exact:
+                break
+            best, passes = objective.exact(point), passes + 1
+            continue
         step = limit_step(step, point.gain.size, point.extra.size, point.levels.size)
         step = point.reach(step) * step
-        trial, result, tried = _line_search(records, point, best, step, active, restricted, prior)
+        trial, result, tried = _line_search(objective, point, best, step, active)
         passes += tried
+        best = objective.readjusted(best, point)
         if result.objective <= best.objective:
             if fresh:
+                best = best if rough or best.exact else objective.exact(point)
                 break
             fresh = True
             continue
@@ -153,32 +206,23 @@ def climb(
 
 
 def _line_search(
-    records: Sequence[Record],
-    point: Point,
-    here: LikelihoodScore,
-    step: Array,
-    active: Mask,
-    restricted: Restriction | None,
-    prior: GaussianPrior | None,
+    objective: _Objective, point: Point, here: LikelihoodScore, step: Array, active: Mask
 ) -> tuple[Point, LikelihoodScore, int]:
     """Shortens a step until the objective rises, in at most eight tries; the last point, its score and their number.
 
     Where the objective falls only because the linear parameters do not go with the others, they are solved for.
     """
-
-    def scored(trial: Point) -> LikelihoodScore:
-        return with_prior(score(records, trial, restricted), trial, prior)
-
     tried = 0
     while True:
         trial = point.moved(step)
-        result = scored(trial)
+        result = objective.near(trial)
         tried += 1
+        here = objective.readjusted(here, point)
         if result.objective > here.objective or tried >= MOST_TRIES:
             return trial, result, tried
         solved, expected = _solved(trial, result, active)
         if expected > here.objective and (np.sign(solved.gain) == np.sign(trial.gain)).all():
-            result = scored(solved)
+            result = objective.near(solved)
             tried += 1
             if result.objective > here.objective:
                 return solved, result, tried

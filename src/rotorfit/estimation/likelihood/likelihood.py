@@ -16,7 +16,7 @@ from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, TRIM, ZERO, Structure
 from rotorfit.dynamics.general_response import motion_response
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, NOTHING, START
-from rotorfit.dynamics.lagged_response import lagged_axis_response
+from rotorfit.dynamics.lagged_response import lagged_axis_response, lagged_plane_response
 from rotorfit.dynamics.response import axis_response, plane_response
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
 from rotorfit.dynamics.whitening import LANES, whiten_axis, whiten_plane
@@ -68,6 +68,8 @@ def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start
     laws[:, TRIM] = trim
     if len(laws) == 1 and point.structures[0].linear and point.structures[0].order:
         return _lagged_response(rec, point, laws, start)
+    if len(laws) == 2 and all(one.linear and one.order == 1 for one in point.structures):
+        return _lagged_plane_response(rec, laws, start)
     what, whose, scale = _columns(point.structures, len(point.extra))
     command_time, command, command_range = rec.switches
     out = motion_response(
@@ -94,6 +96,20 @@ def _lagged_response(rec: Record, point: Point, law: Array, start: Array) -> tup
     columns = [_LAGGED_COLUMNS.index(place) for place in (GAIN, DAMPING, DELAY, *extras, TRIM, START)]
     out[:, [_LAGGED_COLUMNS.index(DAMPING), _LAGGED_COLUMNS.index(LAG)]] *= law[0, [DAMPING, LAG]][:, None]
     return out[:, 0], out[:, columns]
+
+
+def _lagged_plane_response(rec: Record, laws: Array, start: Array) -> tuple[Array, Array]:
+    """`response` of two axes under linear laws with a lag on the input."""
+    command_time, command, command_range = rec.switches
+    out = rec.observed(
+        lagged_plane_response(
+            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command, rec.weight,
+            rec.yaw, laws, start,
+        )
+    )  # fmt: skip
+    out[:, 3:5] *= laws[:, DAMPING, None]
+    out[:, 7:9] *= laws[:, LAG, None]
+    return out[:, 0], out[:, 1:]
 
 
 _LAGGED_COLUMNS = (MEAN, GAIN, DAMPING, DELAY, LAG, ZERO, TRIM, START)
@@ -216,10 +232,12 @@ class LikelihoodScore:
         gradient: Gradient of the log-likelihood, for the levels with the adjustment, shape (n + L K,).
         information: Expected information, shape (n + L K, n + L K); block diagonal, with one block for the n parameters
             and one for the levels.
-        slopes: Derivative of the coefficients' information, at the reference, by each log level, shape (L K, n, n).
+        slopes: Derivative of the coefficients' information, at the reference, by each log level, shape (L K, n, n);
+            (0, n, n) where the adjustment was taken to first order.
         cross: Derivative of the coefficients' gradient, at the sensitivities of the reference, by each log level, shape
-            (n, L K).
+            (n, L K); (n, 0) likewise.
         innovations: Standardised innovations of each flight, heading frame, shape (B, K).
+        linear: The adjustment to first order; None without a restriction.
     """
 
     log_likelihood: float
@@ -229,11 +247,17 @@ class LikelihoodScore:
     slopes: Array
     cross: Array
     innovations: tuple[Array, ...]
+    linear: "LinearAdjustment | None"
 
     @property
     def objective(self) -> float:
         """The maximised function: log-likelihood plus adjustment."""
         return self.log_likelihood + self.adjustment
+
+    @property
+    def exact(self) -> bool:
+        """Whether the adjustment, where there is one, was not taken to first order."""
+        return self.linear is None or self.slopes.size > 0
 
 
 LEVEL_STEP = 1e-6
@@ -254,6 +278,37 @@ class Restriction:
     sensitivities: tuple[Array, ...]
 
 
+LINEAR = 0.3
+"""Largest change of a log level over which the adjustment is taken to first order."""
+
+
+@dataclass(frozen=True)
+class LinearAdjustment:
+    """The adjustment of the restricted likelihood, to first order in the log levels.
+
+    It takes filters of every sensitivity at every level, which is most of the work of a pass, and it is nearly linear:
+    the information of the coefficients goes by the powers of the noises, so that its log determinant goes by their
+    logarithms.
+
+    Attributes:
+        levels: Log levels where it was computed, shape (L K,).
+        value: The adjustment there.
+        slope: Its derivative there, shape (L K,).
+    """
+
+    levels: Array
+    value: float
+    slope: Array
+
+    def at(self, levels: Array) -> float:
+        """The adjustment at log levels (K, L)."""
+        return self.value + float(self.slope @ (levels.ravel() - self.levels))
+
+    def near(self, levels: Array) -> bool:
+        """Whether log levels (K, L) are near enough."""
+        return bool(np.abs(levels.ravel() - self.levels).max() <= LINEAR)
+
+
 def restriction(records: Sequence[Record], point: Point, free: Mask) -> Restriction:
     """The restriction with a point as its reference; `free` covers all parameters, shape (n + L K,)."""
     columns = (response(rec, point, j, point.start[at])[1] for j, (rec, at) in enumerate(_flights(records)))
@@ -264,7 +319,9 @@ def _flights(records: Sequence[Record]) -> list[tuple[Record, slice]]:
     return list(zip(records, segments(records), strict=True))
 
 
-def score(records: Sequence[Record], point: Point, restricted: Restriction | None = None) -> LikelihoodScore:
+def score(
+    records: Sequence[Record], point: Point, restricted: Restriction | LinearAdjustment | None = None
+) -> LikelihoodScore:
     """Log-likelihood with gradient and information in one pass over the flights.
 
     The levels follow the restricted likelihood: fitted coefficients absorb part of the disturbance, and the plain
@@ -273,7 +330,8 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     Args:
         records: The flights.
         point: The parameters.
-        restricted: The restriction; None leaves out gradient and information of the levels.
+        restricted: The restriction, or its adjustment to first order, for half of the work or less; None leaves out
+            gradient and information of the levels.
 
     Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971), pp. 545-554; D. R. Cox, N. Reid, J. R. Statist. Soc.
     B 49 (1987), pp. 1-39.
@@ -283,7 +341,8 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     first_trim = point.coefficients
     width = first_trim + 2 * K
     information, gradient = np.zeros((n + L, n + L)), np.zeros(n + L)
-    projected, slopes, cross = np.zeros((n, n)), np.zeros((L, n, n)), np.zeros((n, L))
+    exact = isinstance(restricted, Restriction)
+    projected, slopes, cross = np.zeros((n, n)), np.zeros((L * exact, n, n)), np.zeros((n, L * exact))
     log_likelihood, innovations = 0.0, []
     looked = [] if restricted is None else [i for i in range(L) if i not in scaled[:1]]
     levels = np.repeat(point.levels[None], 1 + len(looked), axis=0)
@@ -291,7 +350,7 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     for j, (rec, at) in enumerate(_flights(records)):
         mean, sensitivity = response(rec, point, j, point.start[at])
         residual = (rec.position - mean)[:, None, :]
-        fixed = [] if restricted is None else [restricted.sensitivities[j]]
+        fixed = [restricted.sensitivities[j]] if isinstance(restricted, Restriction) else []
         columns = np.concatenate([residual, *fixed, sensitivity], axis=1).transpose(0, 2, 1)
         few = columns.shape[2] - width  # the residual and the fixed sensitivities, for the derivatives by the levels
         passes = _passes(rec, columns, levels, few)
@@ -317,7 +376,7 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         for i, (moved, variance) in zip(looked, passes, strict=True):
             there = moved.reshape(-1, few)
             d_innovation[i], d_log_variance[i] = there[:, 0] - e, np.log(variance).ravel() - log_variance
-            for (where, part), product in zip(parts, products, strict=True):
+            for (where, part), product in zip(parts, products, strict=True) if exact else ():
                 change = there[part].T @ there[part] - product[:few, :few]
                 slopes[i][where[:, None], where] += change[1:, 1:] / LEVEL_STEP
                 cross[where, i] += change[1:, 0] / LEVEL_STEP
@@ -326,7 +385,7 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             later = np.repeat(~rec.fresh, K)
             d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[scaled[1:]].sum(axis=0)
             d_log_variance[0] = LEVEL_STEP * later - d_log_variance[scaled[1:]].sum(axis=0)
-        for (where, _), product in zip(parts, products, strict=True):
+        for (where, _), product in zip(parts, products, strict=True) if exact else ():
             projected[where[:, None], where] += product[1:few, 1:few]
             if scaled:  # minus the gradient; the shares of the other levels are subtracted below
                 cross[where, 0] -= product[1:few, 0]
@@ -335,14 +394,21 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         raw = d_innovation + 0.5 * e * d_log_variance
         information[n:, n:] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
         gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
-    adjustment = 0.0
-    if restricted is not None:
+    linear = restricted if isinstance(restricted, LinearAdjustment) else None
+    if isinstance(restricted, Restriction):
         if scaled:
             slopes[0] = -projected - slopes[scaled[1:]].sum(axis=0)
             cross[:, 0] -= cross[:, scaled[1:]].sum(axis=1)
-        gradient[n:] -= 0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes)
-        adjustment = -0.5 * _log_determinant(projected, restricted.active)
-    return LikelihoodScore(log_likelihood, adjustment, gradient, information, slopes, cross, tuple(innovations))
+        linear = LinearAdjustment(
+            point.levels.ravel(),
+            -0.5 * _log_determinant(projected, restricted.active),
+            -0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes),
+        )
+    adjustment = 0.0
+    if linear is not None:
+        adjustment = linear.at(point.levels)
+        gradient[n:] += linear.slope
+    return LikelihoodScore(log_likelihood, adjustment, gradient, information, slopes, cross, tuple(innovations), linear)
 
 
 def _start_places(first_trim: int, K: int, F: int, at: slice) -> range:

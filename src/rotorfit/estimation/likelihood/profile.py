@@ -43,7 +43,10 @@ def hold(
     values[index] = target
     inverse[index, :] = inverse[:, index] = 0.0
     point = optimum.point.with_flat(np.clip(values, *optimum.point.bounds()))
-    return maximise(records, point, free, inverse, optimum.restricted, tolerance=tolerance, prior=optimum.prior)
+    linear = optimum.score.linear
+    return maximise(
+        records, point, free, inverse, optimum.restricted, tolerance=tolerance, prior=optimum.prior, linear=linear
+    )
 
 
 def height(optimum: Optimum) -> float:
