@@ -255,8 +255,8 @@ def lagged_plane_response(
 
 
 _WIDTH, _SLOT = 12, 16
-"""Number of columns of `lagged_plane_response` besides the position, and of numbers between two of their variables: of
-x, then y, at multiples of `_SLOT`, position, velocity, and what a step adds to position and velocity by itself. Columns:
+"""Number of columns of `lagged_plane_response` besides the position, and of numbers between two of their variables,
+which are, of x and then of y: position, velocity, and what a step adds to position and to velocity by itself. Columns:
 g, b, tau, T, c of x and y in turn, start velocity."""
 
 _U, _GAIN, _DELAY, _LAG = range(4)

@@ -65,8 +65,8 @@ def _start(row: Array, first: int, levels: Array, g: int) -> None:
 
 
 # One axis: slots 0 to 5 hold the upper triangle of the covariance, 6 to 17 the step from `_fill_tables`, 18
-# the noise, 19 to 21 the gain, 22 the innovation variance, 23 to 25 the state of the first column, 26 its innovation, 27
-# one over the standard deviation of the innovation.
+# the noise, 19 to 21 the gain, 22 the innovation variance, 23 to 25 the state of the first column, 26 its innovation,
+# 27 one over the standard deviation of the innovation.
 
 
 @inner(fastmath={"contract"})

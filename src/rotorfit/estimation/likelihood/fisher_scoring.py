@@ -71,19 +71,21 @@ class Optimum:
 
 @dataclass
 class _Objective:
-    """What is maximised. Away from its last exact pass, but near it, the adjustment is taken to first order.
+    """What is maximised: with the adjustment to first order on the way, and exactly in the end.
 
     Attributes:
         records: The flights.
         restricted: The restriction of the likelihood; None where levels are held.
         prior: Added to the objective, if there is one.
         linear: The adjustment to first order, updated by every exact pass; None before the first.
+        ending: Whether all passes are exact from now on.
     """
 
     records: Sequence[Record]
     restricted: Restriction | None
     prior: GaussianPrior | None
     linear: LinearAdjustment | None
+    ending: bool = False
 
     def exact(self, point: Point) -> LikelihoodScore:
         """The score at a point."""
@@ -92,8 +94,8 @@ class _Objective:
         return with_prior(there, point, self.prior)
 
     def near(self, point: Point) -> LikelihoodScore:
-        """The score at a point, with the adjustment to first order where that is near enough."""
-        if self.linear is None or not self.linear.near(point.levels):
+        """The score at a point, with the adjustment to first order where that is near enough, before the end."""
+        if self.ending or self.linear is None or not self.linear.near(point.levels):
             return self.exact(point)
         return with_prior(score(self.records, point, self.linear), point, self.prior)
 
@@ -151,7 +153,7 @@ def maximise(
         if gain < tolerance or passes >= most:
             if rough or best.exact:
                 break
-            best, passes = objective.exact(point), passes + 1
+            best, passes, objective.ending = objective.exact(point), passes + 1, True
             continue
         step = limit_step(step, point.gain.size, point.extra.size, point.levels.size)
         step = point.reach(step) * step
@@ -159,9 +161,10 @@ def maximise(
         passes += tried
         best = objective.readjusted(best, point)
         if result.objective <= best.objective:
-            if fresh:
-                best = best if rough or best.exact else objective.exact(point)
+            if fresh and (rough or best.exact):
                 break
+            if fresh:
+                best, passes, objective.ending = objective.exact(point), passes + 1, True
             fresh = True
             continue
         fall = np.where(active, best.gradient - result.gradient, 0.0)

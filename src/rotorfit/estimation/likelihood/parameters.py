@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rotorfit.core.frames import Array
-from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Measured, Structure, law_of, level_range
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, LAG, Measured, Structure, law_of, level_range
 
 DAMPING_RANGE = (1e-3, 100.0)
 """Range of dampings that is searched [1/s]."""
@@ -66,8 +66,35 @@ class Point:
         return _bounds(self.gain.size, self.structures, len(self.extra), others, self.measured)
 
     def moved(self, step: Array) -> "Point":
-        """The point plus a step in the order of `flat`, clipped to the bounds of the search."""
-        return self.with_flat(np.clip(self.flat() + step, *self.bounds()))
+        """The point plus a step in the order of `flat`, clipped to the bounds of the search.
+
+        A lag, whose coordinate is its logarithm, goes by its own slope: what flights determine best is the sum of delay
+        and lag, and a step that keeps this sum keeps it however long it is.
+        """
+        values = self.flat() + step
+        for at in self._lags:
+            share = step[at]
+            values[at] += (np.log1p(share) if share > -0.5 else 2.0 * share + 1.0 - np.log(2.0)) - share
+        return self.with_flat(np.clip(values, *self.bounds()))
+
+    def held_at(self, index: int, target: float) -> "Point":
+        """The point with one parameter of `flat` at a target; with a lag on the input, its sum with the delay stays."""
+        values, K = self.flat(), self.gain.size
+        if index in self._lags:
+            values[2 * K + index % K] += np.exp(values[index]) - np.exp(target)
+        values[index] = target
+        return self.with_flat(np.clip(values, *self.bounds()))
+
+    @property
+    def _lags(self) -> list[int]:
+        """Indices in `flat` of the lags on the input."""
+        K = self.gain.size
+        return [
+            (3 + e) * K + k
+            for k, law in enumerate(self.structures)
+            for e, one in enumerate(law.extras)
+            if one.place == LAG and law.order == 1
+        ]
 
     def reach(self, step: Array) -> float:
         """Largest share of a step, at most 1, that stays inside the bounds; parameters already at one are ignored."""
