@@ -10,8 +10,9 @@ import pytest
 from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, TRIM, ZERO, law_of, structure_named
 from rotorfit.dynamics.general_response import motion_response
 from rotorfit.dynamics.general_step import MEAN, START
+from rotorfit.dynamics.horizontal_response import horizontal_response, plane_response
 from rotorfit.dynamics.lagged_response import lagged_axis_response
-from rotorfit.dynamics.response import axis_response, plane_response, transition
+from rotorfit.dynamics.response import axis_response, transition
 
 Array = np.ndarray
 
@@ -446,3 +447,33 @@ def test_one_axis_with_a_lag_moves_and_answers_as_under_the_general_law(
 
     wanted_columns = [j for j, place in enumerate(what) if place != ZERO or wanted.order == 2]
     np.testing.assert_allclose(found[:, wanted_columns], general[:, wanted_columns], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("structures", "lags"),
+    [
+        (("first_order_delay_lag", "first_order_delay_lag"), (0.12, 0.4)),
+        (("first_order_delay_lag", "first_order_delay"), (0.006, 0.0)),
+        (("first_order_delay", "first_order_lag"), (0.0, 1.7)),
+        (("first_order_delay", "first_order_delay"), (0.0, 0.0)),
+    ],
+)
+def test_two_axes_with_or_without_a_lag_move_and_answer_as_under_the_general_law(
+    structures: tuple[str, str], lags: tuple[float, float]
+) -> None:
+    some, p = case(turn=0.8), PARAMETERS
+    laws = [structure_named(name) for name in structures]
+    law = np.array(
+        [
+            law_of(one, p["gain"][a], p["damping"][a], p["delay"][a] * one.delayed, {"lag": lags[a]}, p["trim"][a])
+            for a, one in enumerate(laws)
+        ]
+    )
+    what = np.array([MEAN, *np.repeat([GAIN, DAMPING, DELAY, LAG, TRIM, START], 2)])
+    whose = np.array([0, *[0, 1] * 6])
+
+    found = horizontal_response(*some.common, some.command, some.weight, some.yaw, law, p["velocity"])
+    general = motion_response(*some.common, some.command, some.weight, some.yaw, law, what, whose, p["velocity"])
+
+    there = [j for j in range(13) if what[j] != LAG or laws[whose[j]].order]
+    np.testing.assert_allclose(found[:, there], general[:, there], rtol=1e-9, atol=1e-12)

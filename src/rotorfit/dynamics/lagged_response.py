@@ -1,9 +1,8 @@
-"""The exact response under a linear law with a lag, with every sensitivity that the likelihood needs.
+"""The exact response of one axis under a linear law with a lag, with every sensitivity that the likelihood needs.
 
-`general_response` handles every law; this module covers the linear laws with a lag: of one axis with a lag on the
-input, T q' = w - q, or of second order with a zero, T v'' + v' + b v = w + Z w'; and of x with y, both with a lag on
-the input. Their motion is the sum of the responses to input, trim and start velocity, so few numbers need to be
-propagated.
+`general_response` handles every law and two axes, `axis_response` the first-order law of one axis; this module covers
+linear laws of one axis with a lag on the input, T q' = w - q, or of second order with a zero, T v'' + v' + b v = w +
+Z w'. Their motion is the sum of the responses to input, trim and start velocity, so few numbers need to be propagated.
 """
 
 from typing import Any
@@ -51,7 +50,7 @@ def lagged_axis_response(
     out: Array = np.zeros((weight.size, 8, 1))
     _lagged_axis_response(
         starts, pose_range, command_range, pose_time, block, command_time, np.ascontiguousarray(command), weight, law,
-        np.ascontiguousarray(velocity), lag_series(law)[0], out,
+        np.ascontiguousarray(velocity), lag_series(law), out,
     )  # fmt: skip
     return out
 
@@ -89,7 +88,7 @@ def _lagged_axis_response(
                     v = gain * gv + c0 * cv + v0 * sv
                     q = gain * gq + c0 * cq + v0 * sq
                     w = gain * u
-                    G, J, H, GA, JA, JB, HB = _impulse(series, rate, damping, second, dt)
+                    G, J, H, GA, JA, JB, HB = impulse(series, 0, rate, damping, second, dt)
                     if second:
                         B = rate * damping
                         D, GB = 1.0 - rate * G - B * J, JA
@@ -186,8 +185,8 @@ def _lagged_axis_response(
 
 
 @inner(inline="always", fastmath={"contract"})
-def _impulse(series: Array, rate: float, damping: float, second: bool, dt: float) -> Any:
-    """The response G of the velocity to an impulse of the third state, its integrals J and H, and derivatives.
+def impulse(series: Array, a: int, rate: float, damping: float, second: bool, dt: float) -> Any:
+    """The response G of the velocity of axis a to an impulse of its third state, its integrals J and H, derivatives.
 
     Returns:
         G, J, H, dG/dA, dJ/dA (which is dG/dB), dJ/dB (which is dH/dA), dH/dB; see `general_step.linear_step`.
@@ -197,10 +196,10 @@ def _impulse(series: Array, rate: float, damping: float, second: bool, dt: float
     terms = 6 if reach < 0.03 else (8 if reach < 0.12 else 12)  # relative truncation error below 1e-12
     J = H = JB = HB = 0.0
     for n in range(terms - 1, -1, -1):
-        J = J * dt + series[0, 0, n]
-        JB = JB * dt + series[0, 1, n]
-        H = H * dt + series[1, 0, n]
-        HB = HB * dt + series[1, 1, n]
+        J = J * dt + series[a, 0, 0, n]
+        JB = JB * dt + series[a, 0, 1, n]
+        H = H * dt + series[a, 1, 0, n]
+        HB = HB * dt + series[a, 1, 1, n]
     square = dt * dt
     J, JB = J * square, JB * square
     H, HB = H * square * dt, HB * square * dt
@@ -208,174 +207,3 @@ def _impulse(series: Array, rate: float, damping: float, second: bool, dt: float
     JA = -H - A * JB - B * HB
     GA = -J - A * JA - B * JB
     return G, J, H, GA, JA, JB, HB
-
-
-def lagged_plane_response(
-    starts: Array,
-    pose_range: Indices,
-    command_range: Indices,
-    pose_time: Array,
-    block: Indices,
-    command_time: Array,
-    command: Array,
-    weight: Array,
-    yaw: Array,
-    law: Array,
-    velocity: Array,
-) -> Array:
-    """Block means of the horizontal world response of two axes with a lag on the input, and its sensitivities.
-
-    Args:
-        starts: Start of each segment, shape (S,) [s].
-        pose_range: First and one past the last pose of each segment, shape (S, 2).
-        command_range: The same for the commands, shape (S, 2).
-        pose_time: Shape (N,) [s].
-        block: Block of each pose, shape (N,).
-        command_time: Shape (M,) [s].
-        command: Forward and left, shape (M, 2).
-        weight: One over the number of poses of each block, shape (B,).
-        yaw: Heading at the poses, shape (N,) [rad]; linear in between.
-        law: Vectors of the law of x and y, shape (2, LAW_SIZE), both linear and of order 1.
-        velocity: World velocity at the start of each segment, shape (S, 2) [m/s].
-
-    Returns:
-        Shape (B, 13, 2), world components: the position, and its derivatives by g, b, tau, T, c of x and y in turn, and
-        by the world velocity at the start of the block's own segment.
-
-    Source: paper, eq. (5), with u(t - tau) behind a lag and a constant added; exact for a heading that is constant
-    between events.
-    """
-    out: Array = np.zeros((weight.size, 1 + _WIDTH, 2))
-    _lagged_plane_response(
-        starts, pose_range, command_range, pose_time, block, command_time, np.ascontiguousarray(command), weight,
-        np.ascontiguousarray(yaw), law, np.ascontiguousarray(velocity), lag_series(law), np.zeros(8 * _SLOT),
-        np.zeros((2, 4)), np.zeros(2, np.int64), out,
-    )  # fmt: skip
-    return out
-
-
-_WIDTH, _SLOT = 12, 16
-"""Number of columns of `lagged_plane_response` besides the position, and of numbers between two of their variables,
-which are, of x and then of y: position, velocity, and what a step adds to position and to velocity by itself. Columns:
-g, b, tau, T, c of x and y in turn, start velocity."""
-
-_U, _GAIN, _DELAY, _LAG = range(4)
-"""Per axis, the command in force, and the lagged demand of the columns that have one."""
-
-
-@kernel(fastmath={"contract"})
-def _lagged_plane_response(
-    starts: Array, pose_range: Any, command_range: Any, pose_time: Array, block: Any, command_time: Array,
-    command: Array, weight: Array, yaw: Array, law: Array, velocity: Array, series: Array, z: Array, q: Array, k: Any,
-    out: Array,
-) -> None:  # fmt: skip
-    """The compiled loop; `out` is filled with zeros, `z`, `q` and `k` are work space."""
-    longest = longest_step(law)
-    for s in range(starts.size):
-        for n in range(8 * _SLOT):
-            z[n] = 0.0
-        first, end, last = pose_range[s, 0], pose_range[s, 1], command_range[s, 1]
-        t = starts[s] - WARM_UP
-        for a in range(2):
-            k[a] = command_range[s, 0]
-            while k[a] + 1 < last and command_time[k[a] + 1] + law[a, DELAY] <= t:
-                k[a] += 1
-            u = command[k[a], a]
-            q[a, _U], q[a, _GAIN], q[a, _DELAY], q[a, _LAG] = u, u, 0.0, 0.0
-        _advance_plane(t, starts[s], yaw[first], yaw[first], last, command_time, command, law, series, longest, 0.0,
-                       velocity[s], z, q, k)  # fmt: skip
-        t = starts[s]
-        for n in range(8 * _SLOT):  # trim and start velocity count from here on
-            z[n] = 0.0
-        z[2 * _SLOT + 10] = z[3 * _SLOT + 11] = 1.0
-        heading = yaw[first]
-        for i in range(first, end):
-            if t < pose_time[i]:
-                _advance_plane(t, pose_time[i], heading, yaw[i], last, command_time, command, law, series, longest, 1.0,
-                               velocity[s], z, q, k)  # fmt: skip
-                t = pose_time[i]
-            heading = yaw[i]
-            b, w = block[i], weight[block[i]]
-            for a in range(2):
-                at = a * _SLOT
-                out[b, 0, a] += w * _moved(law, velocity[s], z, at)
-                for j in range(_WIDTH):
-                    out[b, 1 + j, a] += w * z[at + j]
-
-
-@inner(inline="always", fastmath={"contract"})
-def _moved(law: Array, velocity: Array, z: Array, at: int) -> float:
-    """The motion itself, from the columns at `at` by what is linear in it."""
-    return (  # type: ignore[no-any-return]
-        law[0, GAIN] * z[at] + law[1, GAIN] * z[at + 1] + law[0, TRIM] * z[at + 8] + law[1, TRIM] * z[at + 9]
-        + velocity[0] * z[at + 10] + velocity[1] * z[at + 11]
-    )  # fmt: skip
-
-
-@inner(fastmath={"contract"})
-def _advance_plane(
-    t: float, t_end: float, yaw: float, yaw_end: float, last: int, command_time: Array, command: Array, law: Array,
-    series: Array, longest: float, live: float, velocity: Array, z: Array, q: Array, k: Any,
-) -> None:  # fmt: skip
-    """Propagates all columns from t to t_end through every switch in between; `live` is 0 where there is no trim."""
-    begin, span = t, max(t_end - t, 1e-12)
-    while t < t_end:
-        t_next, switch = t_end, 2  # 2 means no switch
-        for a in range(2):
-            if k[a] + 1 < last and command_time[k[a] + 1] + law[a, DELAY] <= t_next:
-                t_next, switch = command_time[k[a] + 1] + law[a, DELAY], a
-        if t_next > t:
-            pieces = int(np.ceil((t_next - t) / longest - 1e-9)) if longest < t_next - t else 1
-            psi = yaw + (yaw_end - yaw) * (0.5 * (t + t_next) - begin) / span
-            c, s = np.cos(psi), np.sin(psi)
-            for _ in range(pieces):
-                _drive(law, series, (t_next - t) / pieces, c, s, live, velocity, z, q)
-            t = t_next
-        if switch < 2:
-            new = command[k[switch] + 1, switch]
-            q[switch, _DELAY] -= law[switch, GAIN] / law[switch, LAG] * (new - q[switch, _U])
-            q[switch, _U] = new
-            k[switch] += 1
-
-
-@inner(fastmath={"contract"})
-def _drive(
-    law: Array, series: Array, dt: float, c: float, s: float, live: float, velocity: Array, z: Array, q: Array
-) -> None:
-    """Propagates all columns by dt under a heading with cosine c and sine s."""
-    x, y = _moved(law, velocity, z, 2 * _SLOT), _moved(law, velocity, z, 3 * _SLOT)
-    f0 = f1 = k0 = k1 = 0.0
-    for a in range(2):
-        gain, damping, rate, trim = law[a, GAIN], law[a, DAMPING], 1.0 / law[a, LAG], live * law[a, TRIM]
-        v = c * x + s * y if a == 0 else c * y - s * x
-        G, J, _, GA, JA, JB, _ = _impulse(series[a], rate, damping, False, dt)
-        f, kk, h, df, dk, dh = transition(damping, dt)
-        fade, u = np.exp(-rate * dt), q[a, _U]
-        behind = q[a, _GAIN] - u  # what the lag still has to deliver, of a unit gain
-        drive, scale = gain * u + trim, -rate * rate * gain * behind
-        at = (4 + a) * _SLOT
-        z[at + a] = J * behind + h * u
-        z[at + 2 + a] = dk * v + (JA + rate * JB) * gain * behind + dh * drive
-        z[at + 4 + a] = J * q[a, _DELAY]
-        z[at + 6 + a] = J * q[a, _LAG] + scale * (JA + damping * JB)
-        z[at + 8 + a] = h * live
-        at += 2 * _SLOT
-        z[at + a] = G * behind + kk * u
-        z[at + 2 + a] = df * v + (GA + rate * JA) * gain * behind + dk * drive
-        z[at + 4 + a] = G * q[a, _DELAY]
-        z[at + 6 + a] = G * q[a, _LAG] + scale * (GA + damping * JA)
-        z[at + 8 + a] = kk * live
-        q[a, _GAIN] = fade * behind + u
-        q[a, _DELAY] *= fade
-        q[a, _LAG] = fade * q[a, _LAG] - scale * dt * fade
-        if a == 0:
-            f0, k0 = f, kk
-        else:
-            f1, k1 = f, kk
-    for j in range(_WIDTH):
-        vx, vy = c * z[2 * _SLOT + j] + s * z[3 * _SLOT + j], c * z[3 * _SLOT + j] - s * z[2 * _SLOT + j]
-        px, py = k0 * vx + z[4 * _SLOT + j], k1 * vy + z[5 * _SLOT + j]
-        vx, vy = f0 * vx + z[6 * _SLOT + j], f1 * vy + z[7 * _SLOT + j]
-        z[j] += c * px - s * py
-        z[_SLOT + j] += s * px + c * py
-        z[2 * _SLOT + j], z[3 * _SLOT + j] = c * vx - s * vy, s * vx + c * vy

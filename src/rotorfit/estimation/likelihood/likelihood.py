@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices, Mask
-from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, TRIM, ZERO, Structure
+from rotorfit.core.laws import DAMPING, DELAY, FIRST_ORDER_DELAY, GAIN, LAG, TRIM, ZERO, Structure
 from rotorfit.dynamics.general_response import motion_response
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, NOTHING, START
-from rotorfit.dynamics.lagged_response import lagged_axis_response, lagged_plane_response
-from rotorfit.dynamics.response import axis_response, plane_response
+from rotorfit.dynamics.horizontal_response import horizontal_response
+from rotorfit.dynamics.lagged_response import lagged_axis_response
+from rotorfit.dynamics.response import axis_response
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
 from rotorfit.dynamics.whitening import LANES, whiten_axis, whiten_plane
 from rotorfit.estimation.likelihood.blocks import Record
@@ -44,39 +45,58 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
         its derivatives d/d(g, log b, tau, further parameters, c, v0) in that order with K columns each, shape
         (B, (5 + E) K, K), where v0 is that of the block's own segment.
     """
+    structures = point.structures or (FIRST_ORDER_DELAY,) * len(rec.axes)
     laws = point.laws
-    if laws is not None:
-        return _general_response(rec, point, laws, point.trim[flight], start)
-    command_time, command, command_range = rec.switches
-    common = (rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time)
-    damping, trim, K = np.exp(point.log_damping), point.trim[flight], len(rec.axes)
-    if K == 1:
-        out = axis_response(
-            *common, command[:, 0], rec.weight, point.gain[0], trim[0], damping[0], point.delay[0], start[:, 0]
-        )
-    else:
-        out = plane_response(*common, command, rec.weight, rec.yaw, point.gain, trim, damping, point.delay, start)
-    gain, trim_columns, damping_columns, delay_columns, start_columns = np.split(rec.observed(out), 5, axis=1)
-    mean = np.einsum("j,bjk->bk", point.gain, gain) + np.einsum("j,bjk->bk", trim, trim_columns)
-    mean += np.einsum("bj,bjk->bk", start[rec.segment], start_columns)
-    damping_columns = damping_columns * damping[None, :, None]
-    return mean, np.concatenate([gain, damping_columns, delay_columns, trim_columns, start_columns], axis=1)
-
-
-def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start: Array) -> tuple[Array, Array]:
-    """`response` under the general law."""
-    laws[:, TRIM] = trim
-    if len(laws) == 1 and point.structures[0].linear and point.structures[0].order:
+    laws[:, TRIM] = point.trim[flight]
+    if all(one.linear and not one.kicks and one.order < 2 for one in structures) and len(laws) == 2:
+        return _horizontal_response(rec, point, laws, start)
+    if not structures[0].linear or len(laws) == 2:
+        return _general_response(rec, point, laws, start)
+    if structures[0].order:
         return _lagged_response(rec, point, laws, start)
-    if len(laws) == 2 and all(one.linear and one.order == 1 for one in point.structures):
-        return _lagged_plane_response(rec, laws, start)
+    return _axis_response(rec, laws[0], start)
+
+
+def _axis_response(rec: Record, law: Array, start: Array) -> tuple[Array, Array]:
+    """`response` of one axis under the first-order law with a delay."""
+    command_time, command, command_range = rec.switches
+    out = rec.observed(
+        axis_response(
+            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command[:, 0],
+            rec.weight, law[GAIN], law[TRIM], law[DAMPING], law[DELAY], start[:, 0],
+        )
+    )  # fmt: skip
+    mean = law[GAIN] * out[:, 0] + law[TRIM] * out[:, 1] + start[rec.segment] * out[:, 4]
+    out[:, 2] *= law[DAMPING]
+    return mean, out[:, [0, 2, 3, 1, 4]]
+
+
+def _horizontal_response(rec: Record, point: Point, laws: Array, start: Array) -> tuple[Array, Array]:
+    """`response` of x and y under the first-order law with a delay, also with a lag on the input."""
+    command_time, command, command_range = rec.switches
+    out = rec.observed(
+        horizontal_response(
+            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command, rec.weight,
+            rec.yaw, laws, start,
+        )
+    )  # fmt: skip
+    out[:, 3:5] *= laws[:, DAMPING, None]
+    if not len(point.extra):
+        return out[:, 0], out[:, [*range(1, 7), *range(9, 13)]]
+    out[:, 7:9] *= laws[:, LAG, None]
+    return out[:, 0], out[:, 1:]
+
+
+def _general_response(rec: Record, point: Point, laws: Array, start: Array) -> tuple[Array, Array]:
+    """`response` under the general law."""
     what, whose, scale = _columns(point.structures, len(point.extra))
     command_time, command, command_range = rec.switches
-    out = motion_response(
-        rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command,
-        rec.weight, rec.yaw, laws, what, whose, start,
+    out = rec.observed(
+        motion_response(
+            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command, rec.weight,
+            rec.yaw, laws, what, whose, start,
+        )
     )  # fmt: skip
-    out = rec.observed(out)
     values = np.ones(what.size - 1)
     for j in np.flatnonzero(scale):
         values[j - 1] = laws[whose[j], what[j]]
@@ -88,28 +108,14 @@ def _lagged_response(rec: Record, point: Point, law: Array, start: Array) -> tup
     command_time, command, command_range = rec.switches
     out = rec.observed(
         lagged_axis_response(
-            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time,
-            command[:, 0], rec.weight, law, start[:, 0],
+            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command[:, 0],
+            rec.weight, law, start[:, 0],
         )
     )  # fmt: skip
     extras = [extra.place for extra in point.structures[0].extras]
     columns = [_LAGGED_COLUMNS.index(place) for place in (GAIN, DAMPING, DELAY, *extras, TRIM, START)]
     out[:, [_LAGGED_COLUMNS.index(DAMPING), _LAGGED_COLUMNS.index(LAG)]] *= law[0, [DAMPING, LAG]][:, None]
     return out[:, 0], out[:, columns]
-
-
-def _lagged_plane_response(rec: Record, laws: Array, start: Array) -> tuple[Array, Array]:
-    """`response` of two axes under linear laws with a lag on the input."""
-    command_time, command, command_range = rec.switches
-    out = rec.observed(
-        lagged_plane_response(
-            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command, rec.weight,
-            rec.yaw, laws, start,
-        )
-    )  # fmt: skip
-    out[:, 3:5] *= laws[:, DAMPING, None]
-    out[:, 7:9] *= laws[:, LAG, None]
-    return out[:, 0], out[:, 1:]
 
 
 _LAGGED_COLUMNS = (MEAN, GAIN, DAMPING, DELAY, LAG, ZERO, TRIM, START)

@@ -128,11 +128,10 @@ class Point:
         return {extra.name: extra.value(self.extra[e, k]) for e, extra in enumerate(extras)}
 
     @property
-    def laws(self) -> Array | None:
-        """The general law of each axis without trim, shape (K, LAW_SIZE); None if all are first order with a delay."""
-        if all(structure == FIRST_ORDER_DELAY for structure in self.structures):
-            return None
-        coefficients = zip(self.structures, self.gain, np.exp(self.log_damping), self.delay, strict=True)
+    def laws(self) -> Array:
+        """The general law of each axis without trim, shape (K, LAW_SIZE)."""
+        structures = self.structures or (FIRST_ORDER_DELAY,) * self.gain.size
+        coefficients = zip(structures, self.gain, np.exp(self.log_damping), self.delay, strict=True)
         return np.array([law_of(*each, self.extra_values(k)) for k, each in enumerate(coefficients)])
 
 

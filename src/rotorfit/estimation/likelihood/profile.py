@@ -188,10 +188,10 @@ def _walk(
 ) -> tuple[float | None, float, float | None]:
     """Where the root of the fall equals `reach`, or None; and the bracket around it, with None for no outer end.
 
-    The root is nearly linear where the likelihood is nearly quadratic: steps outwards go where the line through the last
-    two evaluations crosses, and a bracket is divided where the line between its ends does. Where that leaves more than half of it, as where the root is flat
-    beyond the end, it is bisected next. Where the profile jumps from one maximum to another, the bracket becomes narrow
-    without an end in it.
+    The root is nearly linear where the likelihood is nearly quadratic: steps outwards go where the line through the
+    last two evaluations crosses, and a bracket is divided where the line between its ends does. Where that leaves more
+    than half of it, as where the root is flat beyond the end, it is bisected next. Where the profile jumps from one
+    maximum to another, the bracket becomes narrow without an end in it.
     """
     outside: float | None = None
     below, above, width = -reach, 0.0, np.inf

@@ -14,7 +14,8 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, Mask, heading_from_world
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.dynamics.response import axis_response, plane_response
+from rotorfit.dynamics.horizontal_response import plane_response
+from rotorfit.dynamics.response import axis_response
 from rotorfit.estimation.regression.delay import best_delay
 from rotorfit.estimation.regression.equation import (
     GridSegment,

@@ -12,7 +12,8 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, Mask
-from rotorfit.dynamics.response import axis_response, plane_response
+from rotorfit.dynamics.horizontal_response import plane_response
+from rotorfit.dynamics.response import axis_response
 from rotorfit.estimation.likelihood.blocks import Record, record
 
 WINDOW = 2.0
