@@ -10,9 +10,10 @@ from scipy.optimize import minimize
 
 from flights import flown, steps
 from rotorfit.core.laws import DELAY_RANGE, LEVEL_RANGE
-from rotorfit.estimation.likelihood import likelihood
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.likelihood import (
+    LINEAR,
+    adjustment,
     degrees_of_freedom,
     inverted,
     level_share,
@@ -195,17 +196,27 @@ def test_the_gradient_by_the_levels_agrees_with_differences_of_the_objective(axe
     np.testing.assert_allclose(here.gradient[levels] / unit, expected / unit, rtol=1e-4, atol=1e-4)
 
 
-def test_a_long_flight_is_scored_in_less_memory_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    records = records_of(("x", "y"))
+@pytest.mark.parametrize("axes", [("z",), ("x", "y")])
+def test_near_its_levels_the_adjustment_is_nearly_linear(axes: tuple[str, ...]) -> None:
+    records = records_of(axes)
     point = point_of(records)
     restricted = restriction(records, point, np.ones(point.flat().size, bool))
-    whole = score(records, point, restricted)
-    monkeypatch.setattr(likelihood, "LONG", 10)
-    by_fours = score(records, point, restricted)
+    there = score(records, point, restricted)
+    assert there.linear is not None
+    same = score(records, point, there.linear)
 
-    assert by_fours.log_likelihood == whole.log_likelihood
-    for name in ("gradient", "information", "slopes", "cross"):
-        np.testing.assert_array_equal(getattr(by_fours, name), getattr(whole, name))
+    assert same.objective == there.objective
+    np.testing.assert_array_equal(same.gradient, there.gradient)
+    np.testing.assert_array_equal(same.information, there.information)
+    assert there.exact
+    assert not same.exact
+    for by in (-0.1, 0.1):
+        other = replace(point, levels=point.levels + by)
+        assert there.linear.near(other.levels)
+        exact, linear = (score(records, other, how).adjustment for how in (restricted, there.linear))
+        assert abs(exact - linear) < 0.05 * abs(exact - there.adjustment)
+        assert adjustment(records, other, restricted) == pytest.approx(exact, rel=1e-12)
+    assert not there.linear.near(point.levels + 2 * LINEAR)
 
 
 def test_the_objective_judges_the_coefficients_by_the_plain_likelihood() -> None:

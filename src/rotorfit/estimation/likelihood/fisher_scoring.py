@@ -13,6 +13,7 @@ from rotorfit.estimation.likelihood.likelihood import (
     LikelihoodScore,
     LinearAdjustment,
     Restriction,
+    adjustment,
     inverted,
     restriction,
     score,
@@ -99,6 +100,13 @@ class _Objective:
             return self.exact(point)
         return with_prior(score(self.records, point, self.linear), point, self.prior)
 
+    def settled(self, there: LikelihoodScore, point: Point) -> LikelihoodScore:
+        """A score at a point with the exact adjustment, if not with its exact derivatives."""
+        if there.exact or self.restricted is None or there.linear is None:
+            return there
+        missing = adjustment(self.records, point, self.restricted) - there.linear.at(point.levels)
+        return replace(there, adjustment=there.adjustment + missing)
+
     def readjusted(self, earlier: LikelihoodScore, point: Point) -> LikelihoodScore:
         """An earlier score at a point, with the adjustment as it is now, so that objectives can be compared."""
         if self.linear is None or earlier.linear is None or earlier.linear is self.linear:
@@ -132,7 +140,8 @@ def maximise(
         tolerance: Expected gain in log-likelihood below which to stop.
         most: Number of passes at which to stop.
         prior: Added to the objective.
-        linear: The adjustment near the start, to first order, where that suffices; by default the last pass is exact.
+        linear: The adjustment near the start, to first order, where its derivatives need not be exact in the end; by
+            default the last pass is exact.
     """
     if restricted is None and free[-1]:
         restricted = restriction(records, point, free)
@@ -171,7 +180,7 @@ def maximise(
         fresh = gain > SECANT_BELOW or passes < 3
         inverse = _secant(inverse, trial.flat() - point.flat(), fall)
         point, best = trial, result
-    return Optimum(point, best, free, restricted, inverse, gain, passes, prior)
+    return Optimum(point, objective.settled(best, point), free, restricted, inverse, gain, passes, prior)
 
 
 def climb(

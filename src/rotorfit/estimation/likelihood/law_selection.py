@@ -231,7 +231,7 @@ def _refitted(records: Sequence[Record], optimum: Optimum) -> Optimum:
     K = point.gain.size
     moving = [bool(optimum.free[k]) for k in range(K)]
     free = free_of(records, moving, point.structures or (FIRST_ORDER_DELAY,) * K)
-    return maximise(records, start, free, tolerance=0.05)
+    return maximise(records, start, free, tolerance=0.05, linear=optimum.score.linear)
 
 
 @dataclass(frozen=True)

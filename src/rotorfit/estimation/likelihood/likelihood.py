@@ -7,7 +7,7 @@ sensitivities pass through the gains of one filter, so the gradient costs one pa
 
 import functools
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -198,22 +198,6 @@ def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Arr
     return first[:, None], others[:, :, None], variance[:, :, None]
 
 
-LONG = 20_000
-"""Number of blocks from which on filters of several levels run in groups of four: all at once take 100 MB and more."""
-
-
-def _passes(rec: Record, columns: Array, levels: Array, few: int) -> Iterator[tuple[Array, Array]]:
-    """Rows and variances of each filter in turn; see `_filtered`."""
-    at_once = len(levels) if rec.count.size < LONG else LANES
-    first, others, variance = _filtered(rec, np.ascontiguousarray(columns), levels[:at_once], few)
-    yield first, variance[0]
-    columns = np.ascontiguousarray(columns[:, :, :few]) if len(levels) > at_once else columns
-    yield from zip(others, variance[1:], strict=True)
-    for low in range(at_once, len(levels), at_once):
-        first, others, variance = _filtered(rec, columns, levels[low : low + at_once], few)
-        yield from zip([first, *others], variance, strict=True)
-
-
 def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) -> tuple[Array, Array]:
     """The filter of a record with velocities; see `whiten_fused`. Here `levels` (K, L) are not logarithms."""
     assert rec.rate is not None
@@ -342,91 +326,161 @@ def score(
     Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971), pp. 545-554; D. R. Cox, N. Reid, J. R. Statist. Soc.
     B 49 (1987), pp. 1-39.
     """
-    K, n, F, L = point.gain.size, point.n, len(records), point.levels.size
-    scaled = [place for k in range(K) for place in (4 * k, 4 * k + 1)] if point.measured == "position" else []
-    first_trim = point.coefficients
-    width = first_trim + 2 * K
+    K, n, L = point.gain.size, point.n, point.levels.size
     information, gradient = np.zeros((n + L, n + L)), np.zeros(n + L)
-    exact = isinstance(restricted, Restriction)
-    projected, slopes, cross = np.zeros((n, n)), np.zeros((L * exact, n, n)), np.zeros((n, L * exact))
+    slopes = _Slopes.none(n, L) if isinstance(restricted, Restriction) else None
     log_likelihood, innovations = 0.0, []
-    looked = [] if restricted is None else [i for i in range(L) if i not in scaled[:1]]
-    levels = np.repeat(point.levels[None], 1 + len(looked), axis=0)
-    levels.reshape(len(levels), L)[1 + np.arange(len(looked)), looked] += LEVEL_STEP
+    levels, looked = _changed(point) if restricted is not None else (point.levels[None], [])
     for j, (rec, at) in enumerate(_flights(records)):
         mean, sensitivity = response(rec, point, j, point.start[at])
-        residual = (rec.position - mean)[:, None, :]
-        fixed = [restricted.sensitivities[j]] if isinstance(restricted, Restriction) else []
-        columns = np.concatenate([residual, *fixed, sensitivity], axis=1).transpose(0, 2, 1)
-        few = columns.shape[2] - width  # the residual and the fixed sensitivities, for the derivatives by the levels
-        passes = _passes(rec, columns, levels, few)
-        del columns, residual, sensitivity
-        first, variance = next(passes)
-        rows, log_variance = first.reshape(-1, few + width), np.log(variance).ravel()
-        shared = [*range(first_trim), *range(first_trim + j * K, first_trim + (j + 1) * K)]
-        parts = [
-            (np.array([*shared, *range(first, first + K)]), part)
-            for first, part in zip(_start_places(first_trim, K, F, at), _segment_parts(rec, K), strict=True)
-        ]
-        products = [rows[part].T @ rows[part] for _, part in parts]
-        for (where, _), product in zip(parts, products, strict=True):
-            information[where[:, None], where] += product[few:, few:]
-            gradient[where] += product[few:, 0]
+        residual = (rec.position - mean)[:, :, None]
+        columns = np.concatenate([residual, sensitivity.transpose(0, 2, 1)], axis=2)
+        first, others, variance = _filtered(rec, columns, levels, 1)
+        del columns, sensitivity
+        rows, log_variance = first.reshape(rec.count.size * K, -1), np.log(variance).reshape(len(levels), -1)
+        parts = _parts(rec, point, j, at)
+        for where, part in parts:
+            product = rows[part].T @ rows[part]
+            information[where[:, None], where] += product[1:, 1:]
+            gradient[where] += product[1:, 0]
             log_likelihood -= 0.5 * float(product[0, 0])
-        log_likelihood -= 0.5 * float(log_variance.sum() + log_variance.size * np.log(2 * np.pi))
+        log_likelihood -= 0.5 * float(log_variance[0].sum() + log_variance[0].size * np.log(2 * np.pi))
         e = rows[:, 0]
         innovations.append(e.reshape(-1, K))
         if restricted is None:
             continue
-        d_innovation, d_log_variance = np.empty((L, e.size)), np.empty((L, e.size))
-        for i, (moved, variance) in zip(looked, passes, strict=True):
-            there = moved.reshape(-1, few)
-            d_innovation[i], d_log_variance[i] = there[:, 0] - e, np.log(variance).ravel() - log_variance
-            for (where, part), product in zip(parts, products, strict=True) if exact else ():
-                change = there[part].T @ there[part] - product[:few, :few]
-                slopes[i][where[:, None], where] += change[1:, 1:] / LEVEL_STEP
-                cross[where, i] += change[1:, 0] / LEVEL_STEP
-        if scaled:
-            # all q and r together only scale every variance except that of the unknown start: this saves a filter pass
-            later = np.repeat(~rec.fresh, K)
-            d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[scaled[1:]].sum(axis=0)
-            d_log_variance[0] = LEVEL_STEP * later - d_log_variance[scaled[1:]].sum(axis=0)
-        for (where, _), product in zip(parts, products, strict=True) if exact else ():
-            projected[where[:, None], where] += product[1:few, 1:few]
-            if scaled:  # minus the gradient; the shares of the other levels are subtracted below
-                cross[where, 0] -= product[1:few, 0]
-        d_innovation /= LEVEL_STEP
-        d_log_variance /= LEVEL_STEP
+        d_innovation, d_log_variance = np.empty((2, L, e.size))
+        d_innovation[looked] = (others.reshape(len(looked), -1) - e) / LEVEL_STEP
+        d_log_variance[looked] = (log_variance[1:] - log_variance[0]) / LEVEL_STEP
+        if 0 not in looked:  # see `_changed`
+            later, scales = np.repeat(~rec.fresh, K), _scales(K)[1:]
+            d_innovation[0] = -0.5 * e * later - d_innovation[scales].sum(axis=0)
+            d_log_variance[0] = later - d_log_variance[scales].sum(axis=0)
         raw = d_innovation + 0.5 * e * d_log_variance
         information[n:, n:] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
         gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
+        if slopes is not None and isinstance(restricted, Restriction):
+            fixed = np.concatenate([residual, restricted.sensitivities[j].transpose(0, 2, 1)], axis=2)
+            slopes.add(rec, fixed, 1, levels, looked, parts)
     linear = restricted if isinstance(restricted, LinearAdjustment) else None
-    if isinstance(restricted, Restriction):
-        if scaled:
-            slopes[0] = -projected - slopes[scaled[1:]].sum(axis=0)
-            cross[:, 0] -= cross[:, scaled[1:]].sum(axis=1)
-        linear = LinearAdjustment(
-            point.levels.ravel(),
-            -0.5 * _log_determinant(projected, restricted.active),
-            -0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes),
-        )
+    if slopes is not None and isinstance(restricted, Restriction):
+        linear = slopes.adjustment(point.levels.ravel(), restricted.active)
     adjustment = 0.0
     if linear is not None:
         adjustment = linear.at(point.levels)
         gradient[n:] += linear.slope
-    return LikelihoodScore(log_likelihood, adjustment, gradient, information, slopes, cross, tuple(innovations), linear)
+    done = slopes or _Slopes.none(n, 0)
+    return LikelihoodScore(
+        log_likelihood, adjustment, gradient, information, done.slopes, done.cross, tuple(innovations), linear
+    )
 
 
-def _start_places(first_trim: int, K: int, F: int, at: slice) -> range:
-    """Index of the first start velocity of each segment among all parameters."""
-    first = first_trim + F * K
-    return range(first + at.start * K, first + at.stop * K, K)
+def _scales(K: int) -> list[int]:
+    """Places of q and r of every axis among the log levels of positions."""
+    return [place for k in range(K) for place in (4 * k, 4 * k + 1)]
 
 
-def _segment_parts(rec: Record, K: int) -> list[slice]:
-    """The entries of the flattened blocks (B K,) that belong to each segment."""
+def _changed(point: Point) -> tuple[Array, list[int]]:
+    """The log levels (K, L) and, after them, those with each of them changed in turn; and which of them those are.
+
+    All q and r of positions together only scale every variance except that of the unknown start, so the first is left
+    out: its derivatives follow from those of the others.
+    """
+    L = point.levels.size
+    looked = list(range(1 if point.measured == "position" else 0, L))
+    levels = np.repeat(point.levels[None], 1 + len(looked), axis=0)
+    levels.reshape(len(levels), L)[1 + np.arange(len(looked)), looked] += LEVEL_STEP
+    return levels, looked
+
+
+@dataclass(frozen=True)
+class _Slopes:
+    """The information of the coefficients at the reference, and derivatives by the levels, summed over flights.
+
+    Attributes:
+        projected: Information, shape (n, n).
+        slopes: See `LikelihoodScore`, like `cross`.
+        cross: Likewise.
+    """
+
+    projected: Array
+    slopes: Array
+    cross: Array
+
+    @classmethod
+    def none(cls, n: int, L: int) -> "_Slopes":
+        """Those of no flight, for n parameters and L levels."""
+        return cls(np.zeros((n, n)), np.zeros((L, n, n)), np.zeros((n, L)))
+
+    def add(
+        self,
+        rec: Record,
+        columns: Array,
+        residuals: int,
+        levels: Array,
+        looked: Sequence[int],
+        parts: Sequence[tuple[Indices, slice]],
+    ) -> None:
+        """Adds a flight.
+
+        Args:
+            rec: The flight.
+            columns: Residual, where `residuals` is 1, and fixed sensitivities, shape (B, K, C).
+            residuals: Number of columns before the sensitivities.
+            levels: Log levels, and those with each of `looked` changed, shape (M, K, L); filtered some at a time.
+            looked: See `_changed`; empty for the information alone.
+            parts: From `_parts`.
+        """
+        r, C, scaling = residuals, columns.shape[2], bool(looked) and 0 not in looked
+        base: list[Array] = []
+        for low in range(0, len(levels), LANES):
+            first, others, _ = _filtered(rec, columns, levels[low : low + LANES], C)
+            for m, there in enumerate([first, *others], low):
+                rows = there.reshape(-1, C)
+                products = [rows[part].T @ rows[part] for _, part in parts]
+                base = base or products
+                for (where, _), product, own in zip(parts, products, base, strict=True):
+                    if m == 0:
+                        self.projected[where[:, None], where] += product[r:, r:]
+                        if scaling:  # minus the gradient; the shares of the other levels are subtracted below
+                            self.slopes[0][where[:, None], where] -= product[r:, r:]
+                            self.cross[where, 0] -= product[r:, 0]
+                        continue
+                    change, i = (product - own) / LEVEL_STEP, looked[m - 1]
+                    self.slopes[i][where[:, None], where] += change[r:, r:]
+                    self.cross[where, i] += change[r:, 0]
+                    if scaling and i in _scales(columns.shape[1]):
+                        self.slopes[0][where[:, None], where] -= change[r:, r:]
+                        self.cross[where, 0] -= change[r:, 0]
+
+    def adjustment(self, levels: Array, active: Mask) -> LinearAdjustment:
+        """The adjustment at log levels (L K,), to first order."""
+        return LinearAdjustment(
+            levels,
+            -0.5 * _log_determinant(self.projected, active),
+            -0.5 * np.einsum("ij,kij->k", inverted(self.projected, active), self.slopes),
+        )
+
+
+def _parts(rec: Record, point: Point, flight: int, at: slice) -> list[tuple[Indices, slice]]:
+    """For each segment of a flight, the places of its columns among all parameters, and its entries of (B K,)."""
+    K, first = point.gain.size, point.coefficients
+    shared = [*range(first), *range(first + flight * K, first + (flight + 1) * K)]
+    start = first + point.trim.size + at.start * K
     ends = [*(int(i) * K for i in np.flatnonzero(rec.fresh)), rec.count.size * K]
-    return [slice(low, high) for low, high in itertools.pairwise(ends)]
+    return [
+        (np.array([*shared, *range(start + s * K, start + (s + 1) * K)]), slice(low, high))
+        for s, (low, high) in enumerate(itertools.pairwise(ends))
+    ]
+
+
+def adjustment(records: Sequence[Record], point: Point, restricted: Restriction) -> float:
+    """The adjustment of the restricted likelihood alone, exactly."""
+    found = _Slopes.none(point.n, 0)
+    for j, (rec, at) in enumerate(_flights(records)):
+        fixed = np.ascontiguousarray(restricted.sensitivities[j].transpose(0, 2, 1))
+        found.add(rec, fixed, 0, point.levels[None], [], _parts(rec, point, j, at))
+    return found.adjustment(point.levels.ravel(), restricted.active).value
 
 
 def _log_determinant(information: Array, active: Mask) -> float:

@@ -6,6 +6,7 @@ Coefficients enter as (g, log b, tau), so the damping is positive by constructio
 import functools
 import itertools
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -47,6 +48,10 @@ class Point:
 
     def flat(self) -> Array:
         """One vector of g of all axes, log b, tau, further parameters, trims, start velocities, levels: (n + L K,)."""
+        return self._flat.copy()
+
+    @cached_property
+    def _flat(self) -> Array:
         parts = (self.gain, self.log_damping, self.delay, self.extra, self.trim, self.start, self.levels)
         return np.concatenate([part.ravel() for part in parts])
 
@@ -72,7 +77,7 @@ class Point:
         and lag, and a step that keeps this sum keeps it however long it is.
         """
         values = self.flat() + step
-        for at in self._lags:
+        for at in _lags(self.structures):
             share = step[at]
             values[at] += (np.log1p(share) if share > -0.5 else 2.0 * share + 1.0 - np.log(2.0)) - share
         return self.with_flat(np.clip(values, *self.bounds()))
@@ -80,21 +85,10 @@ class Point:
     def held_at(self, index: int, target: float) -> "Point":
         """The point with one parameter of `flat` at a target; with a lag on the input, its sum with the delay stays."""
         values, K = self.flat(), self.gain.size
-        if index in self._lags:
+        if index in _lags(self.structures):
             values[2 * K + index % K] += np.exp(values[index]) - np.exp(target)
         values[index] = target
         return self.with_flat(np.clip(values, *self.bounds()))
-
-    @property
-    def _lags(self) -> list[int]:
-        """Indices in `flat` of the lags on the input."""
-        K = self.gain.size
-        return [
-            (3 + e) * K + k
-            for k, law in enumerate(self.structures)
-            for e, one in enumerate(law.extras)
-            if one.place == LAG and law.order == 1
-        ]
 
     def reach(self, step: Array) -> float:
         """Largest share of a step, at most 1, that stays inside the bounds; parameters already at one are ignored."""
@@ -133,6 +127,17 @@ class Point:
         structures = self.structures or (FIRST_ORDER_DELAY,) * self.gain.size
         coefficients = zip(structures, self.gain, np.exp(self.log_damping), self.delay, strict=True)
         return np.array([law_of(*each, self.extra_values(k)) for k, each in enumerate(coefficients)])
+
+
+@functools.cache
+def _lags(structures: tuple[Structure, ...]) -> tuple[int, ...]:
+    """Indices in `flat` of the lags on the input of axes with these structures."""
+    return tuple(
+        (3 + e) * len(structures) + k
+        for k, law in enumerate(structures)
+        for e, one in enumerate(law.extras)
+        if one.place == LAG and law.order == 1
+    )
 
 
 @functools.cache
