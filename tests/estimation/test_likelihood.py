@@ -12,7 +12,6 @@ from flights import flown, steps
 from rotorfit.core.laws import DELAY_RANGE, LEVEL_RANGE
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.likelihood import (
-    LINEAR,
     adjustment,
     degrees_of_freedom,
     inverted,
@@ -212,11 +211,11 @@ def test_near_its_levels_the_adjustment_is_nearly_linear(axes: tuple[str, ...]) 
     assert not same.exact
     for by in (-0.1, 0.1):
         other = replace(point, levels=point.levels + by)
-        assert there.linear.near(other.levels)
+        assert there.linear.reaches(other.levels, 0.11)
         exact, linear = (score(records, other, how).adjustment for how in (restricted, there.linear))
         assert abs(exact - linear) < 0.05 * abs(exact - there.adjustment)
         assert adjustment(records, other, restricted) == pytest.approx(exact, rel=1e-12)
-    assert not there.linear.near(point.levels + 2 * LINEAR)
+    assert not there.linear.reaches(other.levels, 0.09)
 
 
 def test_the_objective_judges_the_coefficients_by_the_plain_likelihood() -> None:

@@ -40,6 +40,11 @@ SECANT_BELOW = 20.0
 """Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
 
 
+LINEAR, ON_THE_WAY = 0.3, 1.0
+"""Largest change of a log level over which the adjustment is taken to first order: where it stays so, and in a climb
+that ends with exact passes."""
+
+
 @dataclass(frozen=True)
 class Optimum:
     """A maximum of the likelihood over the free parameters.
@@ -79,14 +84,14 @@ class _Objective:
         restricted: The restriction of the likelihood; None where levels are held.
         prior: Added to the objective, if there is one.
         linear: The adjustment to first order, updated by every exact pass; None before the first.
-        ending: Whether all passes are exact from now on.
+        reach: Largest change of a log level over which it is used; negative where all passes are exact.
     """
 
     records: Sequence[Record]
     restricted: Restriction | None
     prior: GaussianPrior | None
     linear: LinearAdjustment | None
-    ending: bool = False
+    reach: float
 
     def exact(self, point: Point) -> LikelihoodScore:
         """The score at a point."""
@@ -95,8 +100,8 @@ class _Objective:
         return with_prior(there, point, self.prior)
 
     def near(self, point: Point) -> LikelihoodScore:
-        """The score at a point, with the adjustment to first order where that is near enough, before the end."""
-        if self.ending or self.linear is None or not self.linear.near(point.levels):
+        """The score at a point, with the adjustment to first order where that reaches so far."""
+        if self.linear is None or not self.linear.reaches(point.levels, self.reach):
             return self.exact(point)
         return with_prior(score(self.records, point, self.linear), point, self.prior)
 
@@ -145,7 +150,8 @@ def maximise(
     """
     if restricted is None and free[-1]:
         restricted = restriction(records, point, free)
-    objective, rough = _Objective(records, restricted, prior, linear), linear is not None
+    rough = linear is not None
+    objective = _Objective(records, restricted, prior, linear, LINEAR if rough else ON_THE_WAY)
     best = objective.near(point)
     passes, active, fresh = 1, free & ~at_bound(point, best.gradient), inverse is None
     while True:
@@ -162,7 +168,7 @@ def maximise(
         if gain < tolerance or passes >= most:
             if rough or best.exact:
                 break
-            best, passes, objective.ending = objective.exact(point), passes + 1, True
+            best, passes, objective.reach = objective.exact(point), passes + 1, -1.0
             continue
         step = limit_step(step, point.gain.size, point.extra.size, point.levels.size)
         step = point.reach(step) * step
@@ -173,7 +179,7 @@ def maximise(
             if fresh and (rough or best.exact):
                 break
             if fresh:
-                best, passes, objective.ending = objective.exact(point), passes + 1, True
+                best, passes, objective.reach = objective.exact(point), passes + 1, -1.0
             fresh = True
             continue
         fall = np.where(active, best.gradient - result.gradient, 0.0)

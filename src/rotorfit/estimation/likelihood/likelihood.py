@@ -268,10 +268,6 @@ class Restriction:
     sensitivities: tuple[Array, ...]
 
 
-LINEAR = 0.3
-"""Largest change of a log level over which the adjustment is taken to first order."""
-
-
 @dataclass(frozen=True)
 class LinearAdjustment:
     """The adjustment of the restricted likelihood, to first order in the log levels.
@@ -294,9 +290,9 @@ class LinearAdjustment:
         """The adjustment at log levels (K, L)."""
         return self.value + float(self.slope @ (levels.ravel() - self.levels))
 
-    def near(self, levels: Array) -> bool:
-        """Whether log levels (K, L) are near enough."""
-        return bool(np.abs(levels.ravel() - self.levels).max() <= LINEAR)
+    def reaches(self, levels: Array, reach: float) -> bool:
+        """Whether no log level (K, L) is further away than `reach`."""
+        return bool(np.abs(levels.ravel() - self.levels).max() <= reach)
 
 
 def restriction(records: Sequence[Record], point: Point, free: Mask) -> Restriction:
