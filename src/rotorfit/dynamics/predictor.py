@@ -13,7 +13,6 @@ from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.filter_bank import (
     bank_tables,
     empty_sum,
-    fade,
     judge,
     move,
     probe,
@@ -30,6 +29,27 @@ _WHAT, _WHOSE = np.array([MEAN, TRIM, TRIM, START, START]), np.array([0, 0, 1, 0
 
 START_VELOCITY_VARIANCE = 10.0
 """Prior variance of the vehicle's velocity at the first pose, which decays with the vehicle's damping [m^2/s^2]."""
+
+
+@inner()
+def fade(z: Array, row: int, column: int, table: Array, g: int, k: int, c: float, s: float) -> None:
+    """Propagates the disturbance z[row, column] (6,) of class g by step k of a table; c and s are for half the turn."""
+    n, v, w = z[row, column, 0], z[row, column, 1], z[row, column, 2]
+    N, V, W = z[row, column, 3], z[row, column, 4], z[row, column, 5]
+    if s != 0.0:
+        n, N = c * n + s * N, c * N - s * n
+        v, V = c * v + s * V, c * V - s * v
+        w, W = c * w + s * W, c * W - s * w
+    n += table[k, 0, 0, g] * v + table[k, 0, 1, g] * w
+    v, w = table[k, 0, 2, g] * v + table[k, 0, 3, g] * w, table[k, 0, 4, g] * v + table[k, 0, 5, g] * w
+    N += table[k, 1, 0, g] * V + table[k, 1, 1, g] * W
+    V, W = table[k, 1, 2, g] * V + table[k, 1, 3, g] * W, table[k, 1, 4, g] * V + table[k, 1, 5, g] * W
+    if s != 0.0:
+        n, N = c * n + s * N, c * N - s * n
+        v, V = c * v + s * V, c * V - s * v
+        w, W = c * w + s * W, c * W - s * w
+    z[row, column, 0], z[row, column, 1], z[row, column, 2] = n, v, w
+    z[row, column, 3], z[row, column, 4], z[row, column, 5] = N, V, W
 
 
 @inner()
@@ -55,14 +75,14 @@ def _run_free(
     series: Array,
     free: Any,
     parts: Array,
-    F: Array,
+    table: Array,
     step: Any,
     out: Array,
     row: int,
 ) -> None:
     """Predicts the poses after `before` up to `last` from the driven state and the disturbance, into out[row].
 
-    The parts (A, 1, 6) of the disturbance decay with their own transitions F (A, 2, U, 3, 3), and sum up.
+    The parts (A, 1, 6) of the disturbance decay with their own transitions, and sum up.
     """
     z, k, u, what, whose, S = free
     t, psi = pose_time[before], yaw
@@ -79,7 +99,7 @@ def _run_free(
         c, s = np.cos(half), np.sin(half)
         for g in range(parts.shape[0]):
             for j in range(parts.shape[1]):
-                fade(parts, g, j, F, g, step[m], c, s)
+                fade(parts, g, j, table, g, step[m], c, s)
         _add(parts, z, np.cos(psi_next), np.sin(psi_next), out, row, m - before - 1)
         t, psi = t_next, psi_next
 
@@ -144,10 +164,9 @@ class Forecast:
             command_time, command, pose_time, pose, yaw, step, law, lag_series(law), filter_law,
             lag_series(filter_law), origin, levels, velocity, tracked, alone,
         )  # fmt: skip
-        work = np.empty(6), np.empty(5), np.empty(4), np.empty(5)
         self._kept = (
-            np.zeros(1, np.int64), law.copy(), *bank_tables(steps, levels), start_bank(levels, prior),
-            empty_sum(levels), _columns(_WHAT, _WHOSE), _columns(_WHAT[:1], _WHOSE[:1]), work,
+            np.zeros(1, np.int64), law.copy(), bank_tables(steps, levels), start_bank(levels, prior),
+            empty_sum(levels), _columns(_WHAT, _WHOSE), _columns(_WHAT[:1], _WHOSE[:1]), np.empty(5),
         )  # fmt: skip
 
     def starts(self, first: Indices, last: Indices, future_yaw: Array) -> tuple[Array, Array, Array]:
@@ -178,15 +197,14 @@ def _columns(what: Indices, whose: Indices) -> tuple[Array, Indices, Array, Indi
 def _predict(
     command_time: Array, command: Array, pose_time: Array, pose: Array, yaw: Array, step: Any, law: Array,
     series: Array, filter_law: Array, filter_series: Array, origin: Array, levels: Array, velocity: Array, tracked: Any,
-    alone: Any, first: Any, last: Any, future_yaw: Array, filtered: Any, known_law: Array, F: Array, D: Array,
-    bank: Any, both: Any, tracking: Any, free: Any, work: Any, out: Array, begin: Array, states: Array,
+    alone: Any, first: Any, last: Any, future_yaw: Array, filtered: Any, known_law: Array, table: Array,
+    bank: Any, both: Any, tracking: Any, free: Any, measured: Any, out: Array, begin: Array, states: Array,
 ) -> None:  # fmt: skip
     """The loop over the starts, and over the poses up to each; `filtered` (1,) counts these across calls.
 
     The arguments after `future_yaw` are work space kept across calls, or outputs.
     """
     z, k, u, what, whose, S = tracking
-    gain, e, along, measured = work
     known, add, parts = both.known, both.add, both.parts
     run, run_k, run_u = free[0], free[1], free[2]
     longest = longest_step(filter_law)
@@ -208,7 +226,7 @@ def _predict(
                     pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
                     filter_law, filter_series, longest, what, whose, z, u, S,
                 )  # fmt: skip
-                move(bank, levels, F, D, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
+                move(bank, table, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
             c, sn = np.cos(yaw[i]), np.sin(yaw[i])
             for a in range(2):
                 if not tracked[i, a]:
@@ -222,7 +240,7 @@ def _predict(
                         x, y = pose[i, 0] - pose[0, 0] - x, pose[i, 1] - pose[0, 1] - y
                     measured[j] = c * x + sn * y if a == 0 else c * y - sn * x
                 judge(bank, a, alone[a], measured, pose_time[i])
-                take(bank, levels, a, alone[a], measured, gain, e, along)
+                take(bank, a, alone[a], measured)
             probe(bank, pose_time[i])
         i = filtered[0] - 1
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
@@ -240,7 +258,7 @@ def _predict(
         for j in range(begin.shape[1]):
             _add(parts, run, c, sn, begin, s, j)
         _run_free(
-            command_time, command, pose_time, i, last[s], yaw[i], future_yaw, known_law, series, free, parts, F,
+            command_time, command, pose_time, i, last[s], yaw[i], future_yaw, known_law, series, free, parts, table,
             step, out, s,
         )  # fmt: skip
 
