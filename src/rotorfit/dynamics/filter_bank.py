@@ -217,27 +217,27 @@ def bank_tables(steps: Array, levels: Array) -> Array:
         levels: From `bank_levels`, shape (A, G, 2, 4).
 
     Returns:
-        Shape (U, 2, 12, A): the classes come last.
+        Shape (U, 24, A): the axes follow each other, the classes come last.
     """
     A = levels.shape[0]
-    out, F, Q = np.empty((steps.size, 2, 12, A)), *np.zeros((2, steps.size, 3, 3))
+    out, F, Q = np.empty((steps.size, 24, A)), *np.zeros((2, steps.size, 3, 3))
     for g, a in np.ndindex(A, 2):
         fill_step_tables(steps, levels[g, 0, a, 2], levels[g, 0, a, 3], F, Q)
-        out[:, a, :2, g], out[:, a, 2:6, g] = F[:, 0, 1:], F[:, 1:, 1:].reshape(-1, 4)
-        out[:, a, 6:, g] = Q[:, *np.triu_indices(3)]
+        first = 12 * a
+        out[:, first : first + 2, g], out[:, first + 2 : first + 6, g] = F[:, 0, 1:], F[:, 1:, 1:].reshape(-1, 4)
+        out[:, first + 6 : first + 12, g] = Q[:, *np.triu_indices(3)]
     return out
 
 
 @inner()
 def _load(slots: Array, of: Array, table: Array, k: int, lanes: int) -> None:
     """Fills the slots with step k of a table; see `Bank.of`."""
-    last = table.shape[3] - 1
-    for a in range(2):
-        for i in range(12):
-            place = AXIS * a + _STEP + i
-            x, y, z = table[k, a, i, 0], table[k, a, i, min(1, last)], table[k, a, i, last]
-            for m in range(lanes):
-                slots[place, m] = of[0, m] * x + of[1, m] * y + of[2, m] * z
+    last = table.shape[2] - 1
+    for i in range(table.shape[1]):
+        place = _STEP + i if i < 12 else AXIS + _STEP + i - 12
+        x, y, z = table[k, i, 0], table[k, i, min(1, last)], table[k, i, last]
+        for m in range(lanes):
+            slots[place, m] = of[0, m] * x + of[1, m] * y + of[2, m] * z
 
 
 @inner(fastmath={"contract"})
@@ -491,7 +491,7 @@ def logarithm(x: float) -> float:
     f = np.int64(bits - (k << 52)).view(np.float64)
     s = (f - 1.0) / (f + 1.0)
     z = s * s
-    total = z / 23.0 + 1.0 / 21.0
+    total = z * (1.0 / 23.0) + 1.0 / 21.0
     total = total * z + 1.0 / 19.0
     total = total * z + 1.0 / 17.0
     total = total * z + 1.0 / 15.0
@@ -519,11 +519,10 @@ def probe(bank: Any, t: float) -> None:
     bank.probed[0] = t
     bank.due[oldest] = t + AHEAD
     bank.judged[oldest, 0] = bank.judged[oldest, 1] = False
-    for j in range(4):
-        for m in range(LANES):
+    for m in range(bank.members):
+        for j in range(4):
             bank.believed[oldest, j, m] = bank.slots[KNOWN + j, m]
-    for i in range(6):
-        for m in range(LANES):
+        for i in range(6):
             bank.wind[COLUMNS_FILTERED + oldest, i, m] = _disturbance(bank, m, i)
 
 
@@ -650,7 +649,6 @@ class Sum(NamedTuple):
     Attributes:
         known: Trims and start velocities by the weights of each axis, shape (2, 4).
         add: Their contribution to the world position and velocity, shape (4,).
-        parts: The disturbance, as contributions of the classes that sum up, shape (A, 1, 6).
         weight: Weights of the members for each axis, shape (M, 2).
         effect: Work space: effect of a unit trim or start velocity on the six elements of a state, shape (4, 6).
         half: Work space, shape (4, 6).
@@ -659,7 +657,6 @@ class Sum(NamedTuple):
 
     known: Array
     add: Array
-    parts: Array
     weight: Array
     effect: Array
     half: Array
@@ -670,11 +667,11 @@ def empty_sum(levels: Array) -> Sum:
     """An empty result for `sum_bank`, for members with levels (A, G, 2, 4)."""
     A, G = levels.shape[:2]
     work = np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((A * G, 6))
-    return Sum(np.zeros((2, 4)), np.zeros(4), np.zeros((A, 1, 6)), np.zeros((A * G, 2)), *work)
+    return Sum(np.zeros((2, 4)), np.zeros(4), np.zeros((A * G, 2)), *work)
 
 
 @inner()
-def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: Any, rows: Array, row: int) -> None:
+def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: Any, parts: Array, rows: Array, row: int) -> None:
     """Combines the estimates of the members of a bank, each axis of the heading frame with its own weights.
 
     Args:
@@ -684,12 +681,13 @@ def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: 
         c: Cosine of the heading.
         s: Its sine.
         both: A `Sum`, filled.
+        parts: The disturbance, as contributions of the classes that sum up, shape (S, A, 6); one row is filled.
         rows: Zeros, shape (S, `row_size(A)`); one row is filled, for `start_state_from_rows`.
-        row: Index of that row.
+        row: Index of those rows.
     """
     A, G = levels.shape[0], levels.shape[1]
     M = A * G
-    known, add, z, weight, effect, half, means = both
+    known, add, weight, effect, half, means = both
     slots, wind = bank.slots, bank.wind
     fill_weights(bank, weight)
     # the row holds share, mean, covariance, power and noise, starting at these indices
@@ -728,7 +726,7 @@ def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: 
             for i in range(6):
                 at = second + 12 * g + 6 * a + i
                 if i >= 3:
-                    z[g, 0, 3 * a + i - 3] = rows[row, at]
+                    parts[row, g, 3 * a + i - 3] = rows[row, at]
                 rows[row, at] /= share
         for m in range(M):
             w, g, scale = weight[m, a], m // G, slots[AXIS * a + SQUARES, m] / bank.freedom[a]

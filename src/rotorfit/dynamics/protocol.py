@@ -15,8 +15,10 @@ from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, Structure, law_of
 from rotorfit.core.results import AxisScore, Horizon, StartErrors
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.filter_bank import StartState, bank_levels, start_state_from_rows
+from rotorfit.dynamics.free_runs import STATE as RUN
+from rotorfit.dynamics.free_runs import free_runs
 from rotorfit.dynamics.kinematics import seen_in
-from rotorfit.dynamics.predictor import Forecast, free_run
+from rotorfit.dynamics.predictor import Forecast
 
 SETTLING = 2.0
 """Time at the beginning of a segment for the filter to settle before the first start [s]."""
@@ -280,26 +282,21 @@ def free_run_prediction(flight: Flight, part: Predictions, input_: Array, dampin
         input_: g of the four axes, shape (4,).
         damping: b of the four axes, shape (4,) [1/s].
     """
-    out = np.full_like(part.predicted, np.nan)
     law = np.array([law_of(FIRST_ORDER_DELAY, *pair, 0.0, {}) for pair in zip(input_, damping, strict=True)])
-    pairs = ([0, 1], [2, 3])
-    commands = [np.ascontiguousarray(flight.command[:, pair]) for pair in pairs]
-    in_force = np.maximum(np.searchsorted(flight.command_time, part.time[part.first - 1], side="right") - 1, 0)
-    for s, (first, last, k) in enumerate(zip(part.first, part.last, in_force, strict=True)):
-        t = part.time[first - 1 : last]
-        heading = np.concatenate([part.pose[first - 1 : first, 3], part.heading[s, : last - first]])
-        for pair, command, yaw in zip(pairs, commands, (heading, np.zeros(t.size)), strict=True):
-            motion = free_run(
-                flight.command_time[k:],
-                command[k:],
-                law[pair],
-                part.begin[s, 0, pair],
-                part.begin[s, 1, pair],
-                t,
-                yaw,
-            )
-            out[s, : last - first, 0, pair] = motion[1:, :2].T
-            out[s, : last - first, 1, pair] = motion[1:, 2:].T
+    before = part.first - 1
+    in_force = np.maximum(np.searchsorted(flight.command_time, part.time[before], side="right") - 1, 0)
+    S, out = before.size, np.empty_like(part.predicted)
+    nothing = np.empty((S, 0, 6)), np.empty((1, 24, 0)), np.zeros(part.time.size, np.int64)
+    for first, turns in ((0, 1.0), (2, 0.0)):
+        pair = slice(first, first + 2)
+        state = np.zeros((S, RUN))
+        state[:, :4] = part.begin[:, :, pair].reshape(S, 4)
+        motion = free_runs(
+            flight.command_time, np.ascontiguousarray(flight.command[:, pair]), law[pair], part.time, part.first,
+            part.last, np.column_stack([in_force, in_force]), state, turns * part.pose[before, 3],
+            turns * part.heading, *nothing,
+        )  # fmt: skip
+        out[..., pair] = motion.reshape(*motion.shape[:2], 2, 2)
     return out
 
 
