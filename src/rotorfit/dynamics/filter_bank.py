@@ -300,9 +300,15 @@ def _step_covariance(w: Array, axes: Array, lanes: int) -> None:
         p01, p11, p21 = p01 + x01 * p11 + x02 * p21, x11 * p11 + x12 * p21, x21 * p11 + x22 * p21
         p02, p12, p22 = w[_C02 + m], w[_C12 + m], w[_C22 + m]
         p02, p12, p22 = p02 + x01 * p12 + x02 * p22, x11 * p12 + x12 * p22, x21 * p12 + x22 * p22
-        w[_C00 + m], w[_C01 + m], w[_C02 + m] = p00 + y01 * p01 + y02 * p02, y11 * p01 + y12 * p02, y21 * p01 + y22 * p02
-        w[_C10 + m], w[_C11 + m], w[_C12 + m] = p10 + y01 * p11 + y02 * p12, y11 * p11 + y12 * p12, y21 * p11 + y22 * p12
-        w[_C20 + m], w[_C21 + m], w[_C22 + m] = p20 + y01 * p21 + y02 * p22, y11 * p21 + y12 * p22, y21 * p21 + y22 * p22
+        w[_C00 + m] = p00 + y01 * p01 + y02 * p02
+        w[_C01 + m] = y11 * p01 + y12 * p02
+        w[_C02 + m] = y21 * p01 + y22 * p02
+        w[_C10 + m] = p10 + y01 * p11 + y02 * p12
+        w[_C11 + m] = y11 * p11 + y12 * p12
+        w[_C12 + m] = y21 * p11 + y22 * p12
+        w[_C20 + m] = p20 + y01 * p21 + y02 * p22
+        w[_C21 + m] = y11 * p21 + y12 * p22
+        w[_C22 + m] = y21 * p21 + y22 * p22
 
 
 @inner(fastmath={"contract"})
@@ -501,7 +507,7 @@ def logarithm(x: float) -> float:
     total = total * z + 1.0 / 7.0
     total = total * z + 1.0 / 5.0
     total = total * z + 1.0 / 3.0
-    return k * _LOG_2 + 2.0 * (s + s * z * total)  # type: ignore[no-any-return]
+    return k * _LOG_2 + 2.0 * (s + s * z * total)
 
 
 @inner()
@@ -671,7 +677,9 @@ def empty_sum(levels: Array) -> Sum:
 
 
 @inner()
-def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: Any, parts: Array, rows: Array, row: int) -> None:
+def sum_bank(
+    bank: Any, levels: Array, driven: Array, c: float, s: float, both: Any, parts: Array, rows: Array, row: int
+) -> None:
     """Combines the estimates of the members of a bank, each axis of the heading frame with its own weights.
 
     Args:

@@ -260,7 +260,7 @@ def _kick(law: Array, w: Array, dt: float, one: int, past: int) -> None:
 @inner()
 def _drag(law: Array, a: int) -> float:
     """Quadratic drag of an axis: deceleration over the squared velocity."""
-    return law[a, DAMPING] * law[a, SHARE] / law[a, SPEED] if int(law[a, KICKS]) % 2 else 0.0  # type: ignore[no-any-return]
+    return law[a, DAMPING] * law[a, SHARE] / law[a, SPEED] if int(law[a, KICKS]) % 2 else 0.0
 
 
 @inner(fastmath={"contract"})

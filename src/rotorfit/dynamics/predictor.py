@@ -113,11 +113,12 @@ class Forecast:
         state, in_force = np.empty((S, RUN)), np.empty((S, 2), np.int64)
         parts, rows = np.empty((S, self._classes, 6)), np.zeros((S, row_size(self._classes)))
         _filter(*self._given, first, *self._kept, state, in_force, parts, rows)
-        command_time, command, pose_time, pose, yaw, step, law = self._given[:7]
-        yaw = yaw[first - 1]
+        command_time, command, pose_time, _, heading, step, law = self._given[:7]
+        yaw = heading[first - 1]
         out = free_runs(
-            command_time, command, law, pose_time, first, last, in_force, state, yaw, future_yaw, parts, self._table, step
-        )
+            command_time, command, law, pose_time, first, last, in_force, state, yaw, future_yaw, parts, self._table,
+            step,
+        )  # fmt: skip
         c, s, (n, v) = np.cos(yaw), np.sin(yaw), parts.sum(axis=1).reshape(-1, 2, 3).transpose(2, 0, 1)[:2]
         begin = state[:, :4].copy()
         for i, (forward, left) in enumerate((n.T, v.T)):
