@@ -60,7 +60,7 @@ def autocorrelation(time: Array, innovation: Array, reach: float = REACH) -> Cor
     lags = np.arange(1, _lag_count(time, reach) + 1)
     value, band = np.empty(lags.size), np.empty(lags.size)
     for i, k in enumerate(lags):
-        product = (e[k:] * e[:-k])[_adjacent(time, int(k))]
+        product = (e[k:] * e[:-k])[_adjacent(time, int(k), step)]
         value[i] = product.sum() / power
         band[i] = NORMAL * np.sqrt(product @ product) / power
     return Correlogram(np.asarray(step * lags, float), value, band)
@@ -80,9 +80,10 @@ def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogra
     e = innovations.innovation - innovations.innovation.mean()
     size = np.sqrt(float(e @ e) * np.sum(u**2, axis=0))
     value, band = np.zeros(size.size), np.zeros(size.size)
-    for i in np.flatnonzero(size > 0):
-        total, spread = _with_command(innovations, u[:, i : i + 1], covariance)
-        value[i], band[i] = total[0] / size[i], NORMAL * np.sqrt(spread[0, 0]) / size[i]
+    told = size > 0
+    if told.any():
+        total, spread = _with_command(innovations, u[:, told], covariance)
+        value[told], band[told] = total / size[told], NORMAL * np.sqrt(np.diag(spread)) / size[told]
     lag = _step(innovations.time) * np.arange(1, size.size + 1)
     return Correlogram(np.asarray(lag, float), value, band)
 
@@ -182,9 +183,9 @@ def _lag_count(time: Array, reach: float) -> int:
     return max(1, min(round(reach / _step(time)), time.size // 4))
 
 
-def _adjacent(time: Array, k: int) -> Array:
+def _adjacent(time: Array, k: int, step: float) -> Array:
     """Which pairs of blocks that are k apart by count are also k apart in time."""
-    return np.asarray(np.abs(time[k:] - time[:-k] - k * _step(time)) < 0.5 * _step(time))
+    return np.asarray(np.abs(time[k:] - time[:-k] - k * step) < 0.5 * step)
 
 
 def _chi_squared(statistic: float, freedom: int) -> float:

@@ -114,12 +114,15 @@ def _integral(time: Array, value: Array) -> Array:
 
 def _averages(time: Array, integral: Array, begin: Array) -> Array:
     """Means over `AVERAGED` from each beginning (R,) of the signals with these integrals (N, C), shape (R, C)."""
-    return np.column_stack(
-        [
-            (np.interp(begin + AVERAGED, time, column) - np.interp(begin, time, column)) / AVERAGED
-            for column in integral.T
-        ]
-    )
+    return np.asarray((_between(time, integral, begin + AVERAGED) - _between(time, integral, begin)) / AVERAGED)
+
+
+def _between(time: Array, value: Array, at: Array) -> Array:
+    """Signals (N, C) by linear interpolation, constant beyond their ends, shape (R, C): one search for all."""
+    at = np.clip(at, time[0], time[-1])
+    i = np.clip(np.searchsorted(time, at, side="right") - 1, 0, time.size - 2)
+    share = (at - time[i]) / (time[i + 1] - time[i])
+    return np.asarray(value[i] + share[:, None] * (value[i + 1] - value[i]))
 
 
 def _place(flight: Flight, k: int) -> Array:

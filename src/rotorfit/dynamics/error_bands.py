@@ -100,7 +100,7 @@ def bands_of(pieces: Sequence[Stated], horizon: float) -> Bands:
 def _variance(part: Predictions, horizon: float) -> Array:
     """Variance of the measurement as predicted by the filters, in the heading frame at the horizon, (S, 2, 4)."""
     out = np.full((part.start.size, 2, 4), np.nan)
-    half = max(REFERENCE_HALF_WIDTH, (REFERENCE_LEAST - 1) / 2 * float(np.median(np.diff(part.time))))
+    half = max(REFERENCE_HALF_WIDTH, (REFERENCE_LEAST - 1) / 2 * part.period)
     count = max(REFERENCE_LEAST, 2 * half * part.time.size / (part.time[-1] - part.time[0]))
     for first, state in zip((0, 2), part.states, strict=True):
         if state is not None:

@@ -26,15 +26,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorfit.core.frames import Array, Mask
+from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import (
     axis_start,
     discretize,
     fill_step_tables,
-    predict_covariance,
-    update_covariance,
-    update_rate,
 )
 from rotorfit.dynamics.general_step import COLUMNS, P, V
 
@@ -69,40 +66,93 @@ SCALE_FREEDOM = 30.0
 """Number of innovations that the scale of the model's own levels counts as (prior degrees of freedom)."""
 
 
+_ROOT_HALF = int(np.float64(0.5**0.5).view(np.int64))
+
+_LOG_2 = float(np.log(2.0))
+
+LANES = 32
+"""Width of a slot, and largest number of members. The members are side by side: a slot holds one number of each."""
+
+_VECTOR = 4
+"""Members are filled up with copies to a multiple of this, so that no loop over them has a remainder."""
+
+AXIS = 23
+"""Slots of one axis."""
+
+_STEP, _NOISE, POWER, NOISE, SQUARES, LIKELIHOOD, ERROR = 6, 12, 18, 19, 20, 21, 22
+"""Slots within those of an axis; first the upper triangle of the covariance of its disturbance, at the member's levels.
+
+F01, F02, F11, F12, F21, F22 for the present step; Q00, Q01, Q02, Q11, Q12, Q22 for a unit power; q, r, the sum of
+squares of the scale, log L, and the sum of the squared errors of E."""
+
+_ACROSS = 2 * AXIS
+"""First slot of the covariance of x with y, row by row."""
+
+KNOWN, SPREAD = _ACROSS + 9, _ACROSS + 13
+"""First slots of the estimates of two trims (heading frame) and two start velocities (world), and of the upper triangle
+of their covariance, at the member's levels."""
+
+_CROSS, _GAIN, _OFF, _VARIANCE = SPREAD + 10, SPREAD + 16, SPREAD + 22, SPREAD + 27
+"""Work space of an update: covariance with the measured quantity, gain, innovations of the columns, variance of the
+innovation."""
+
+SLOTS = _VARIANCE + 1
+
+_X00, _X01, _X02, _X11, _X12, _X22 = (LANES * i for i in range(6))
+_Y00, _Y01, _Y02, _Y11, _Y12, _Y22 = (LANES * (AXIS + i) for i in range(6))
+_C00, _C01, _C02, _C10, _C11, _C12, _C20, _C21, _C22 = (LANES * (_ACROSS + i) for i in range(9))
+
+ROWS = np.array([
+    [0, 1, 2, 46, 47, 48], [1, 3, 4, 49, 50, 51], [2, 4, 5, 52, 53, 54],
+    [46, 49, 52, 23, 24, 25], [47, 50, 53, 24, 26, 27], [48, 51, 54, 25, 27, 28],
+])  # fmt: skip
+"""Slots of the rows of the covariance."""
+
+UPPER = np.array([[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]])
+"""Places of the rows of `SPREAD`."""
+
+COLUMNS_FILTERED = 5
+"""Filtered beside each other: data minus driven response, two unit trims and two unit start velocities."""
+
+
 class Bank(NamedTuple):
     """M members before the next stamp; arrays are changed in place.
 
+    Single arrays with constant offsets show the compiler that nothing overlaps, so that it vectorises over the members.
+    Where an offset varies, it vectorises over the last index of a second view of the same memory.
+
     Attributes:
-        covariance: Covariance of the disturbance, at the member's levels, shape (M, 3, 3, 3).
-        state: Filtered data minus driven response, two unit trims and two unit start velocities, shape (M, 5, 6).
-        known: Estimates of trims (heading frame) and start velocities (world), shape (M, 4).
-        spread: Their covariance, at the member's levels, shape (M, 4, 4).
-        squares: Sum of squares of the scale of each axis, shape (M, 2).
-        freedom: Number of squares, shape (M, 2).
-        likelihood: Logarithm of L for each axis, shape (M, 2).
-        error: Sum of the squared errors of E, shape (M, 2).
-        errors: Number of those errors, shape (2,).
-        waiting: Disturbance now, as predicted by the predictions that wait to be judged, shape (PENDING, M, 6).
-        believed: `known` at the time of prediction, shape (PENDING, M, 4).
+        members: M.
+        flat: Slots of members, shape (SLOTS * LANES,).
+        slots: The same memory, shape (SLOTS, LANES).
+        axes: The slots of the axes, shape (2, AXIS * LANES).
+        winds: Disturbance n, s, s' of both axes: the filtered columns, see `COLUMNS_FILTERED`, then the predictions
+            that wait to be judged, carried on to now, shape (COLUMNS_FILTERED + PENDING, 6 * LANES).
+        wind: The same memory, shape (COLUMNS_FILTERED + PENDING, 6, LANES).
+        believed: `KNOWN` at the time of those predictions, shape (PENDING, 4, LANES).
+        freedom: Number of squares of the scale of each axis, shape (2,).
+        errors: Number of errors of E, shape (2,).
         due: Time of judgement, shape (PENDING,) [s].
         judged: Whether it has been judged on each axis, shape (PENDING, 2).
         probed: Time of the last prediction, shape (1,) [s].
+        of: 1 for members of the first, second, third class, else 0, shape (3, LANES).
+        loaded: Index of the step in the slots, shape (1,).
     """
 
-    covariance: Array
-    state: Array
-    known: Array
-    spread: Array
-    squares: Array
-    freedom: Array
-    likelihood: Array
-    error: Array
-    errors: Array
-    waiting: Array
+    members: int
+    flat: Array
+    slots: Array
+    axes: Array
+    winds: Array
+    wind: Array
     believed: Array
+    freedom: Array
+    errors: Array
     due: Array
     judged: Mask
     probed: Array
+    of: Array
+    loaded: Indices
 
 
 def bank_levels(levels: Array, adapt: bool) -> Array:
@@ -130,157 +180,340 @@ def start_bank(levels: Array, prior: Array) -> Bank:
         levels: From `bank_levels`, shape (A, G, 2, 4).
         prior: Variances of two trims and two start velocities, shape (4,).
     """
-    A, G = levels.shape[:2]
-    M = A * G
-    covariance = np.zeros((M, 3, 3, 3))
-    for m, a in np.ndindex(M, 2):
-        axis_start(covariance[m, a], levels[m // G, m % G, a])
+    members = levels.reshape(-1, *levels.shape[2:])
+    slots, wind = np.zeros((SLOTS, LANES)), np.zeros((COLUMNS_FILTERED + PENDING, 6, LANES))
+    for m in range(LANES):
+        level = members[min(m, len(members) - 1)]
+        for a in range(2):
+            covariance = np.zeros((3, 3))
+            axis_start(covariance, level[a])
+            slots[AXIS * a : AXIS * a + 6, m] = covariance[np.triu_indices(3)]
+            slots[AXIS * a + POWER, m], slots[AXIS * a + NOISE, m] = level[a, :2]
+    slots[SPREAD + np.diag(UPPER)] = prior[:, None]
+    slots[[SQUARES, AXIS + SQUARES]] = SCALE_FREEDOM
     return Bank(
-        covariance=covariance,
-        state=np.zeros((M, 5, 6)),
-        known=np.zeros((M, 4)),
-        spread=np.tile(np.diag(prior), (M, 1, 1)),
-        squares=np.full((M, 2), SCALE_FREEDOM),
-        freedom=np.full((M, 2), SCALE_FREEDOM),
-        likelihood=np.zeros((M, 2)),
-        error=np.zeros((M, 2)),
+        members=len(members),
+        flat=slots.reshape(-1),
+        slots=slots,
+        axes=slots[:_ACROSS].reshape(2, -1),
+        winds=wind.reshape(len(wind), -1),
+        wind=wind,
+        believed=np.zeros((PENDING, 4, LANES)),
+        freedom=np.full(2, SCALE_FREEDOM),
         errors=np.zeros(2),
-        waiting=np.zeros((PENDING, M, 6)),
-        believed=np.zeros((PENDING, M, 4)),
         due=np.zeros(PENDING),
         judged=np.ones((PENDING, 2), np.bool_),
         probed=np.full(1, -np.inf),
+        of=(np.minimum(np.arange(LANES) // levels.shape[1], 2) == np.arange(3)[:, None]).astype(float),
+        loaded=np.full(1, -1),
     )
 
 
-def bank_tables(steps: Array, levels: Array) -> tuple[Array, Array]:
-    """Transitions and unit-power covariances of every class, axis and distinct step: two arrays (A, 2, U, 3, 3)."""
+def bank_tables(steps: Array, levels: Array) -> Array:
+    """F01, F02, F11, F12, F21, F22 and Q00, Q01, Q02, Q11, Q12, Q22, for a unit power, of every distinct step and axis.
+
+    Args:
+        steps: Shape (U,) [s].
+        levels: From `bank_levels`, shape (A, G, 2, 4).
+
+    Returns:
+        Shape (U, 24, A): the axes follow each other, the classes come last.
+    """
     A = levels.shape[0]
-    F, Q = np.zeros((2, A, 2, steps.size, 3, 3))
+    out, F, Q = np.empty((steps.size, 24, A)), *np.zeros((2, steps.size, 3, 3))
     for g, a in np.ndindex(A, 2):
-        fill_step_tables(steps, levels[g, 0, a, 2], levels[g, 0, a, 3], F[g, a], Q[g, a])
-    return F, Q
+        fill_step_tables(steps, levels[g, 0, a, 2], levels[g, 0, a, 3], F, Q)
+        first = 12 * a
+        out[:, first : first + 2, g], out[:, first + 2 : first + 6, g] = F[:, 0, 1:], F[:, 1:, 1:].reshape(-1, 4)
+        out[:, first + 6 : first + 12, g] = Q[:, *np.triu_indices(3)]
+    return out
 
 
 @inner()
-def fade(z: Array, row: int, column: int, F: Array, g: int, k: int, c: float, s: float) -> None:
-    """Propagates the disturbance z[row, column] (6,) of class g by step k of F; c and s are for half the turn."""
-    n, v, w = z[row, column, 0], z[row, column, 1], z[row, column, 2]
-    N, V, W = z[row, column, 3], z[row, column, 4], z[row, column, 5]
-    if s != 0.0:
-        n, N = c * n + s * N, c * N - s * n
-        v, V = c * v + s * V, c * V - s * v
-        w, W = c * w + s * W, c * W - s * w
-    n += F[g, 0, k, 0, 1] * v + F[g, 0, k, 0, 2] * w
-    v, w = F[g, 0, k, 1, 1] * v + F[g, 0, k, 1, 2] * w, F[g, 0, k, 2, 1] * v + F[g, 0, k, 2, 2] * w
-    N += F[g, 1, k, 0, 1] * V + F[g, 1, k, 0, 2] * W
-    V, W = F[g, 1, k, 1, 1] * V + F[g, 1, k, 1, 2] * W, F[g, 1, k, 2, 1] * V + F[g, 1, k, 2, 2] * W
-    if s != 0.0:
-        n, N = c * n + s * N, c * N - s * n
-        v, V = c * v + s * V, c * V - s * v
-        w, W = c * w + s * W, c * W - s * w
-    z[row, column, 0], z[row, column, 1], z[row, column, 2] = n, v, w
-    z[row, column, 3], z[row, column, 4], z[row, column, 5] = N, V, W
+def _load(slots: Array, of: Array, table: Array, k: int, lanes: int) -> None:
+    """Fills the slots with step k of a table; see `Bank.of`."""
+    last = table.shape[2] - 1
+    for i in range(table.shape[1]):
+        place = _STEP + i if i < 12 else AXIS + _STEP + i - 12
+        x, y, z = table[k, i, 0], table[k, i, min(1, last)], table[k, i, last]
+        for m in range(lanes):
+            slots[place, m] = of[0, m] * x + of[1, m] * y + of[2, m] * z
 
 
 @inner(fastmath={"contract"})
-def move(bank: Any, levels: Array, F: Array, Q: Array, k: int, turn: float, dt: float) -> None:
-    """Propagates a bank by one step of dt [s], index k in the tables, while the heading turns by `turn` [rad]."""
-    G = levels.shape[1]
-    M = levels.shape[0] * G
-    covariance, state, waiting, judged = bank.covariance, bank.state, bank.waiting, bank.judged
-    squares, freedom, likelihood, error = bank.squares, bank.freedom, bank.likelihood, bank.error
+def _turned(a: float, b: float, m: float, n: float, cc: float, ss: float, cs: float) -> Any:
+    """Entries i, j of x, of y, of x with y, and entry j, i of x with y, in a frame rotated by the angle of c and s."""
+    both, across = cs * (m + n), cs * (b - a)
+    return cc * a + ss * b + both, ss * a + cc * b - both, cc * m - ss * n + across, cc * n - ss * m + across
+
+
+@inner(fastmath={"contract"})
+def _turn_covariance(w: Array, c: float, s: float, lanes: int) -> None:
+    """Rotates the frame of the covariances, in place."""
+    cc, ss, cs = c * c, s * s, c * s
+    for m in range(lanes):
+        x, y, a, b = _X00 + m, _Y00 + m, _C00 + m, _C00 + m
+        w[x], w[y], w[a], _ = _turned(w[x], w[y], w[a], w[b], cc, ss, cs)
+        x, y, a, b = _X01 + m, _Y01 + m, _C01 + m, _C10 + m
+        w[x], w[y], w[a], w[b] = _turned(w[x], w[y], w[a], w[b], cc, ss, cs)
+        x, y, a, b = _X02 + m, _Y02 + m, _C02 + m, _C20 + m
+        w[x], w[y], w[a], w[b] = _turned(w[x], w[y], w[a], w[b], cc, ss, cs)
+        x, y, a, b = _X11 + m, _Y11 + m, _C11 + m, _C11 + m
+        w[x], w[y], w[a], _ = _turned(w[x], w[y], w[a], w[b], cc, ss, cs)
+        x, y, a, b = _X12 + m, _Y12 + m, _C12 + m, _C21 + m
+        w[x], w[y], w[a], w[b] = _turned(w[x], w[y], w[a], w[b], cc, ss, cs)
+        x, y, a, b = _X22 + m, _Y22 + m, _C22 + m, _C22 + m
+        w[x], w[y], w[a], _ = _turned(w[x], w[y], w[a], w[b], cc, ss, cs)
+
+
+@inner(fastmath={"contract"})
+def _six(w: Array, at: int) -> Any:
+    """Six consecutive slots of one member: a transition F01, F02, F11, F12, F21, F22, or an upper triangle."""
+    return w[at], w[LANES + at], w[2 * LANES + at], w[3 * LANES + at], w[4 * LANES + at], w[5 * LANES + at]
+
+
+@inner(fastmath={"contract"})
+def _step_covariance(w: Array, axes: Array, lanes: int) -> None:
+    """P <- F P F^T + q Q, in place."""
+    for a in range(2):
+        for m in range(lanes):
+            p00, p01, p02 = axes[a, m], axes[a, LANES + m], axes[a, 2 * LANES + m]
+            p11, p12, p22 = axes[a, 3 * LANES + m], axes[a, 4 * LANES + m], axes[a, 5 * LANES + m]
+            f01, f02, f11 = axes[a, 6 * LANES + m], axes[a, 7 * LANES + m], axes[a, 8 * LANES + m]
+            f12, f21, f22 = axes[a, 9 * LANES + m], axes[a, 10 * LANES + m], axes[a, 11 * LANES + m]
+            q = axes[a, POWER * LANES + m]
+            a00, a01, a02 = p00 + f01 * p01 + f02 * p02, p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
+            a11, a12 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
+            a21, a22 = f21 * p11 + f22 * p12, f21 * p12 + f22 * p22
+            axes[a, m] = a00 + a01 * f01 + a02 * f02 + q * axes[a, 12 * LANES + m]
+            axes[a, LANES + m] = a01 * f11 + a02 * f12 + q * axes[a, 13 * LANES + m]
+            axes[a, 2 * LANES + m] = a01 * f21 + a02 * f22 + q * axes[a, 14 * LANES + m]
+            axes[a, 3 * LANES + m] = a11 * f11 + a12 * f12 + q * axes[a, 15 * LANES + m]
+            axes[a, 4 * LANES + m] = a11 * f21 + a12 * f22 + q * axes[a, 16 * LANES + m]
+            axes[a, 5 * LANES + m] = a21 * f21 + a22 * f22 + q * axes[a, 17 * LANES + m]
+    for m in range(lanes):
+        x01, x02, x11, x12, x21, x22 = _six(w, _STEP * LANES + m)
+        y01, y02, y11, y12, y21, y22 = _six(w, (AXIS + _STEP) * LANES + m)
+        p00, p10, p20 = w[_C00 + m], w[_C10 + m], w[_C20 + m]
+        p00, p10, p20 = p00 + x01 * p10 + x02 * p20, x11 * p10 + x12 * p20, x21 * p10 + x22 * p20
+        p01, p11, p21 = w[_C01 + m], w[_C11 + m], w[_C21 + m]
+        p01, p11, p21 = p01 + x01 * p11 + x02 * p21, x11 * p11 + x12 * p21, x21 * p11 + x22 * p21
+        p02, p12, p22 = w[_C02 + m], w[_C12 + m], w[_C22 + m]
+        p02, p12, p22 = p02 + x01 * p12 + x02 * p22, x11 * p12 + x12 * p22, x21 * p12 + x22 * p22
+        w[_C00 + m] = p00 + y01 * p01 + y02 * p02
+        w[_C01 + m] = y11 * p01 + y12 * p02
+        w[_C02 + m] = y21 * p01 + y22 * p02
+        w[_C10 + m] = p10 + y01 * p11 + y02 * p12
+        w[_C11 + m] = y11 * p11 + y12 * p12
+        w[_C12 + m] = y21 * p11 + y22 * p12
+        w[_C20 + m] = p20 + y01 * p21 + y02 * p22
+        w[_C21 + m] = y11 * p21 + y12 * p22
+        w[_C22 + m] = y21 * p21 + y22 * p22
+
+
+@inner(fastmath={"contract"})
+def _fade(z: Array, j: int, w: Array, c: float, s: float, lanes: int) -> None:
+    """Propagates the disturbances z[j] (6 * LANES,) by the step in the slots; c and s are for half the turn."""
+    for m in range(lanes):
+        n, v, a = z[j, m], z[j, LANES + m], z[j, 2 * LANES + m]
+        N, V, A = z[j, 3 * LANES + m], z[j, 4 * LANES + m], z[j, 5 * LANES + m]
+        n, v, a, N, V, A = c * n + s * N, c * v + s * V, c * a + s * A, c * N - s * n, c * V - s * v, c * A - s * a
+        x01, x02, x11, x12, x21, x22 = _six(w, _STEP * LANES + m)
+        y01, y02, y11, y12, y21, y22 = _six(w, (AXIS + _STEP) * LANES + m)
+        n, v, a = n + x01 * v + x02 * a, x11 * v + x12 * a, x21 * v + x22 * a
+        N, V, A = N + y01 * V + y02 * A, y11 * V + y12 * A, y21 * V + y22 * A
+        z[j, m], z[j, LANES + m], z[j, 2 * LANES + m] = c * n + s * N, c * v + s * V, c * a + s * A
+        z[j, 3 * LANES + m], z[j, 4 * LANES + m], z[j, 5 * LANES + m] = c * N - s * n, c * V - s * v, c * A - s * a
+
+
+@inner(fastmath={"contract"})
+def move(bank: Any, table: Array, k: int, turn: float, dt: float) -> None:
+    """Propagates a bank by one step of dt [s], index k in the table, while the heading turns by `turn` [rad]."""
+    w, axes, judged, lanes = bank.flat, bank.axes, bank.judged, _lanes(bank.members)
     c, s = np.cos(0.5 * turn), np.sin(0.5 * turn)
     kept = np.exp(-dt / MEMORY)
-    for m in range(M):
-        g = m // G
-        predict_covariance(covariance, m, F, Q, g, k, levels[g, m % G, 0, 0], levels[g, m % G, 1, 0], c, s)
-        for j in range(5):
-            fade(state, m, j, F, g, k, c, s)
-        for i in range(PENDING):
-            if not (judged[i, 0] and judged[i, 1]):
-                fade(waiting, i, m, F, g, k, c, s)
-        for a in range(2):
-            squares[m, a] = SCALE_FREEDOM + kept * (squares[m, a] - SCALE_FREEDOM)
-            freedom[m, a] = SCALE_FREEDOM + kept * (freedom[m, a] - SCALE_FREEDOM)
-            likelihood[m, a] *= kept
-            error[m, a] *= kept
+    if bank.loaded[0] != k:
+        _load(bank.slots, bank.of, table, k, lanes)
+        bank.loaded[0] = k
+    if s != 0.0:
+        _turn_covariance(w, c, s, lanes)
+    _step_covariance(w, axes, lanes)
+    if s != 0.0:
+        _turn_covariance(w, c, s, lanes)
+    for j in range(COLUMNS_FILTERED + PENDING):
+        if j < COLUMNS_FILTERED or not (judged[j - COLUMNS_FILTERED, 0] and judged[j - COLUMNS_FILTERED, 1]):
+            _fade(bank.winds, j, w, c, s, lanes)
     for a in range(2):
+        for m in range(lanes):
+            squares = axes[a, SQUARES * LANES + m]
+            axes[a, SQUARES * LANES + m] = SCALE_FREEDOM + kept * (squares - SCALE_FREEDOM)
+            axes[a, LIKELIHOOD * LANES + m] *= kept
+            axes[a, ERROR * LANES + m] *= kept
+        bank.freedom[a] = SCALE_FREEDOM + kept * (bank.freedom[a] - SCALE_FREEDOM)
         bank.errors[a] *= kept
+
+
+@inner()
+def _lanes(members: int) -> int:
+    return -(-members // _VECTOR) * _VECTOR
 
 
 @inner(fastmath={"contract"})
 def judge(bank: Any, axis: int, rate: Any, measured: Array, t: float) -> None:
     """Compares predictions that are due at time t [s] with the measurement; arguments as for `take`."""
     at = 3 * axis + (1 if rate else 0)
-    judged, due, waiting, believed, error = bank.judged, bank.due, bank.waiting, bank.believed, bank.error
+    judged, due, wind, believed, slots = bank.judged, bank.due, bank.wind, bank.believed, bank.slots
     for i in range(PENDING):
         if judged[i, axis] or t < due[i]:
             continue
         judged[i, axis] = True
         bank.errors[axis] += 1.0
-        for m in range(error.shape[0]):
-            e = measured[0] - waiting[i, m, at]
+        for m in range(bank.members):
+            e = measured[0] - wind[COLUMNS_FILTERED + i, at, m]
             for j in range(4):
-                e -= believed[i, m, j] * measured[1 + j]
-            error[m, axis] += e * e
+                e -= believed[i, j, m] * measured[1 + j]
+            slots[AXIS * axis + ERROR, m] += e * e
 
 
 @inner(fastmath={"contract"})
-def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array, gain: Array, e: Array, along: Array) -> None:
+def take(bank: Any, axis: int, rate: Any, measured: Array) -> None:
     """Updates all members with a measurement of one axis.
 
     Args:
         bank: Changed in place.
-        levels: Shape (A, G, 2, 4).
         axis: 0 or 1.
         rate: Whether a velocity was measured, else a position.
         measured: Along the axis: data minus driven response, then the response to two unit trims and two unit start
             velocities, shape (5,).
-        gain: Work space, shape (6,).
-        e: Work space, shape (5,).
-        along: Work space, shape (4,).
     """
-    G = levels.shape[1]
     at = 3 * axis + (1 if rate else 0)
-    covariance, state, known, spread = bank.covariance, bank.state, bank.known, bank.spread
-    freedom, squares, likelihood = bank.freedom, bank.squares, bank.likelihood
-    for m in range(known.shape[0]):
-        noise = levels[m // G, m % G, axis, 1]
-        if rate:
-            variance = update_rate(covariance, m, axis, noise, gain)
-        else:
-            variance = update_covariance(covariance, m, axis, noise, gain)
-        for j in range(5):
-            e[j] = measured[j] - state[m, j, at]
-            if e[j] != 0.0:  # a trim or start velocity of the other axis, where the two do not turn
-                for i in range(6):
-                    state[m, j, i] += gain[i] * e[j]
-        innovation = e[0]
-        for j in range(4):
-            innovation -= known[m, j] * e[1 + j]
-            along[j] = 0.0
-            for i in range(4):
-                along[j] += spread[m, j, i] * e[1 + i]
-            variance += along[j] * e[1 + j]
-        for j in range(4):
-            share = along[j] / variance
-            if share != 0.0:
-                known[m, j] += share * innovation
-                for i in range(4):
-                    spread[m, j, i] -= share * along[i]
-        square, n = innovation * innovation / variance, freedom[m, axis]
-        scale = squares[m, axis] / n
+    w, slots, axes, wind, winds = bank.flat, bank.slots, bank.axes, bank.wind, bank.winds
+    lanes = _lanes(bank.members)
+    for i in range(6):
+        source = ROWS[at, i]
+        for m in range(lanes):
+            slots[_CROSS + i, m] = slots[source, m]
+    for m in range(lanes):
+        slots[_VARIANCE, m] = slots[_CROSS + at, m] + slots[AXIS * axis + NOISE, m]
+    for j in range(COLUMNS_FILTERED):
+        for m in range(lanes):
+            slots[_OFF + j, m] = measured[j] - wind[j, at, m]
+    _correct(w, lanes)
+    for j in range(COLUMNS_FILTERED):
+        for m in range(lanes):
+            e = slots[_OFF + j, m]
+            winds[j, m] += w[_GAIN * LANES + m] * e
+            winds[j, LANES + m] += w[(_GAIN + 1) * LANES + m] * e
+            winds[j, 2 * LANES + m] += w[(_GAIN + 2) * LANES + m] * e
+            winds[j, 3 * LANES + m] += w[(_GAIN + 3) * LANES + m] * e
+            winds[j, 4 * LANES + m] += w[(_GAIN + 4) * LANES + m] * e
+            winds[j, 5 * LANES + m] += w[(_GAIN + 5) * LANES + m] * e
+    _learn(w, lanes)
+    n = bank.freedom[axis]
+    for m in range(lanes):
+        variance, square, squares = w[_VARIANCE * LANES + m], w[_OFF * LANES + m], axes[axis, SQUARES * LANES + m]
         # Student's t with n degrees of freedom; the difference of its normalisation from a Gaussian's is common to all.
-        likelihood[m, axis] -= 0.5 * np.log(variance * scale) + 0.5 * (n + 1) * np.log1p(square / (n * scale))
-        squares[m, axis] += square
-        freedom[m, axis] += 1.0
+        common, own = logarithm(variance * squares / n), logarithm(1.0 + square / squares)
+        axes[axis, LIKELIHOOD * LANES + m] -= 0.5 * common + 0.5 * (n + 1) * own
+        axes[axis, SQUARES * LANES + m] = squares + square
+    bank.freedom[axis] += 1.0
+
+
+@inner(fastmath={"contract"})
+def _correct(w: Array, lanes: int) -> None:
+    """Fills the gains, and updates the covariances."""
+    for m in range(lanes):
+        h0, h1, h2, h3, h4, h5 = _six(w, _CROSS * LANES + m)
+        over = 1.0 / w[_VARIANCE * LANES + m]
+        g0, g1, g2, g3, g4, g5 = h0 * over, h1 * over, h2 * over, h3 * over, h4 * over, h5 * over
+        w[_GAIN * LANES + m], w[(_GAIN + 1) * LANES + m], w[(_GAIN + 2) * LANES + m] = g0, g1, g2
+        w[(_GAIN + 3) * LANES + m], w[(_GAIN + 4) * LANES + m], w[(_GAIN + 5) * LANES + m] = g3, g4, g5
+        w[_X00 + m] -= g0 * h0
+        w[_X01 + m] -= g0 * h1
+        w[_X02 + m] -= g0 * h2
+        w[_X11 + m] -= g1 * h1
+        w[_X12 + m] -= g1 * h2
+        w[_X22 + m] -= g2 * h2
+        w[_Y00 + m] -= g3 * h3
+        w[_Y01 + m] -= g3 * h4
+        w[_Y02 + m] -= g3 * h5
+        w[_Y11 + m] -= g4 * h4
+        w[_Y12 + m] -= g4 * h5
+        w[_Y22 + m] -= g5 * h5
+        w[_C00 + m] -= g0 * h3
+        w[_C01 + m] -= g0 * h4
+        w[_C02 + m] -= g0 * h5
+        w[_C10 + m] -= g1 * h3
+        w[_C11 + m] -= g1 * h4
+        w[_C12 + m] -= g1 * h5
+        w[_C20 + m] -= g2 * h3
+        w[_C21 + m] -= g2 * h4
+        w[_C22 + m] -= g2 * h5
+
+
+@inner(fastmath={"contract"})
+def _learn(w: Array, lanes: int) -> None:
+    """Updates trims and start velocities.
+
+    The variance of the innovation becomes that with their uncertainty, and the innovation of the data its square over
+    this variance.
+    """
+    for m in range(lanes):
+        e1, e2, e3, e4 = (
+            w[(_OFF + 1) * LANES + m], w[(_OFF + 2) * LANES + m], w[(_OFF + 3) * LANES + m], w[(_OFF + 4) * LANES + m],
+        )  # fmt: skip
+        k1, k2, k3, k4 = (
+            w[KNOWN * LANES + m], w[(KNOWN + 1) * LANES + m], w[(KNOWN + 2) * LANES + m], w[(KNOWN + 3) * LANES + m],
+        )  # fmt: skip
+        p11, p12, p13, p14, p22, p23 = _six(w, SPREAD * LANES + m)
+        p24, p33, p34, p44 = (
+            w[(SPREAD + 6) * LANES + m], w[(SPREAD + 7) * LANES + m], w[(SPREAD + 8) * LANES + m],
+            w[(SPREAD + 9) * LANES + m],
+        )  # fmt: skip
+        a1, a2 = p11 * e1 + p12 * e2 + p13 * e3 + p14 * e4, p12 * e1 + p22 * e2 + p23 * e3 + p24 * e4
+        a3, a4 = p13 * e1 + p23 * e2 + p33 * e3 + p34 * e4, p14 * e1 + p24 * e2 + p34 * e3 + p44 * e4
+        variance = w[_VARIANCE * LANES + m] + a1 * e1 + a2 * e2 + a3 * e3 + a4 * e4
+        innovation = w[_OFF * LANES + m] - k1 * e1 - k2 * e2 - k3 * e3 - k4 * e4
+        over = 1.0 / variance
+        b1, b2, b3, b4 = a1 * over, a2 * over, a3 * over, a4 * over
+        w[KNOWN * LANES + m], w[(KNOWN + 1) * LANES + m] = k1 + b1 * innovation, k2 + b2 * innovation
+        w[(KNOWN + 2) * LANES + m], w[(KNOWN + 3) * LANES + m] = k3 + b3 * innovation, k4 + b4 * innovation
+        w[SPREAD * LANES + m], w[(SPREAD + 1) * LANES + m] = p11 - b1 * a1, p12 - b1 * a2
+        w[(SPREAD + 2) * LANES + m], w[(SPREAD + 3) * LANES + m] = p13 - b1 * a3, p14 - b1 * a4
+        w[(SPREAD + 4) * LANES + m], w[(SPREAD + 5) * LANES + m] = p22 - b2 * a2, p23 - b2 * a3
+        w[(SPREAD + 6) * LANES + m], w[(SPREAD + 7) * LANES + m] = p24 - b2 * a4, p33 - b3 * a3
+        w[(SPREAD + 8) * LANES + m], w[(SPREAD + 9) * LANES + m] = p34 - b3 * a4, p44 - b4 * a4
+        w[_VARIANCE * LANES + m], w[_OFF * LANES + m] = variance, innovation * innovation * over
+
+
+@inner(fastmath={"contract"})
+def logarithm(x: float) -> float:
+    """Natural logarithm of a positive normal number, to the last digit; unlike the library's, it vectorises.
+
+    With x = 2^k f and f within a factor sqrt(2) of 1, log f = 2 artanh((f - 1) / (f + 1)).
+    """
+    bits = np.float64(x).view(np.int64)
+    k = (bits - _ROOT_HALF) >> 52
+    f = np.int64(bits - (k << 52)).view(np.float64)
+    s = (f - 1.0) / (f + 1.0)
+    z = s * s
+    total = z * (1.0 / 23.0) + 1.0 / 21.0
+    total = total * z + 1.0 / 19.0
+    total = total * z + 1.0 / 17.0
+    total = total * z + 1.0 / 15.0
+    total = total * z + 1.0 / 13.0
+    total = total * z + 1.0 / 11.0
+    total = total * z + 1.0 / 9.0
+    total = total * z + 1.0 / 7.0
+    total = total * z + 1.0 / 5.0
+    total = total * z + 1.0 / 3.0
+    return k * _LOG_2 + 2.0 * (s + s * z * total)
 
 
 @inner()
 def probe(bank: Any, t: float) -> None:
     """Stores every member's prediction, to be judged after `AHEAD`; does nothing with a single member."""
-    if bank.known.shape[0] == 1 or t < bank.probed[0] + EVERY:
+    if bank.members == 1 or t < bank.probed[0] + EVERY:
         return
     oldest = 0
     for i in range(PENDING):
@@ -292,26 +525,25 @@ def probe(bank: Any, t: float) -> None:
     bank.probed[0] = t
     bank.due[oldest] = t + AHEAD
     bank.judged[oldest, 0] = bank.judged[oldest, 1] = False
-    state, known, waiting, believed = bank.state, bank.known, bank.waiting, bank.believed
-    for m in range(known.shape[0]):
+    for m in range(bank.members):
         for j in range(4):
-            believed[oldest, m, j] = known[m, j]
+            bank.believed[oldest, j, m] = bank.slots[KNOWN + j, m]
         for i in range(6):
-            waiting[oldest, m, i] = disturbance(state, known, m, i)
+            bank.wind[COLUMNS_FILTERED + oldest, i, m] = _disturbance(bank, m, i)
 
 
 @inner()
-def disturbance(state: Array, known: Array, m: int, i: int) -> float:
+def _disturbance(bank: Any, m: int, i: int) -> float:
     """Element i of the disturbance of one member, minus the share explained by trims and start velocities."""
-    z = state[m, 0, i]
+    z = bank.wind[0, i, m]
     for j in range(4):
-        z -= known[m, j] * state[m, 1 + j, i]
+        z -= bank.slots[KNOWN + j, m] * bank.wind[1 + j, i, m]
     return z  # type: ignore[no-any-return]
 
 
 def weights(bank: Bank) -> Array:
     """Weights of the members for each axis, shape (M, 2)."""
-    out: Array = np.empty((len(bank.known), 2))
+    out: Array = np.empty((bank.members, 2))
     fill_weights(bank, out)
     return out
 
@@ -319,16 +551,16 @@ def weights(bank: Bank) -> Array:
 @kernel()
 def fill_weights(bank: Any, out: Array) -> None:
     """Fills the weights, shape (M, 2)."""
-    M = bank.known.shape[0]
+    M, slots = bank.members, bank.slots
     for a in range(2):
-        least = bank.error[0, a]
+        least = slots[AXIS * a + ERROR, 0]
         for m in range(M):
-            least = min(least, bank.error[m, a])
+            least = min(least, slots[AXIS * a + ERROR, m])
         counted = bank.errors[a] if least > 0 else 0.0
         for m in range(M):
-            out[m, a] = TEMPER * bank.likelihood[m, a]
+            out[m, a] = TEMPER * slots[AXIS * a + LIKELIHOOD, m]
             if counted > 0:
-                out[m, a] -= 0.5 * SHARPNESS * counted * (EVERY / AHEAD) * np.log(bank.error[m, a])
+                out[m, a] -= 0.5 * SHARPNESS * counted * (EVERY / AHEAD) * np.log(slots[AXIS * a + ERROR, m])
         if M > 1:
             out[0, a] += np.log((M - 1) * OWN_SHARE / (1 - OWN_SHARE))
         top, total = out[0, a], 0.0
@@ -423,7 +655,6 @@ class Sum(NamedTuple):
     Attributes:
         known: Trims and start velocities by the weights of each axis, shape (2, 4).
         add: Their contribution to the world position and velocity, shape (4,).
-        parts: The disturbance, as contributions of the classes that sum up, shape (A, 1, 6).
         weight: Weights of the members for each axis, shape (M, 2).
         effect: Work space: effect of a unit trim or start velocity on the six elements of a state, shape (4, 6).
         half: Work space, shape (4, 6).
@@ -432,7 +663,6 @@ class Sum(NamedTuple):
 
     known: Array
     add: Array
-    parts: Array
     weight: Array
     effect: Array
     half: Array
@@ -443,11 +673,13 @@ def empty_sum(levels: Array) -> Sum:
     """An empty result for `sum_bank`, for members with levels (A, G, 2, 4)."""
     A, G = levels.shape[:2]
     work = np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((A * G, 6))
-    return Sum(np.zeros((2, 4)), np.zeros(4), np.zeros((A, 1, 6)), np.zeros((A * G, 2)), *work)
+    return Sum(np.zeros((2, 4)), np.zeros(4), np.zeros((A * G, 2)), *work)
 
 
 @inner()
-def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: Any, rows: Array, row: int) -> None:
+def sum_bank(
+    bank: Any, levels: Array, driven: Array, c: float, s: float, both: Any, parts: Array, rows: Array, row: int
+) -> None:
     """Combines the estimates of the members of a bank, each axis of the heading frame with its own weights.
 
     Args:
@@ -457,14 +689,14 @@ def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: 
         c: Cosine of the heading.
         s: Its sine.
         both: A `Sum`, filled.
+        parts: The disturbance, as contributions of the classes that sum up, shape (S, A, 6); one row is filled.
         rows: Zeros, shape (S, `row_size(A)`); one row is filled, for `start_state_from_rows`.
-        row: Index of that row.
+        row: Index of those rows.
     """
     A, G = levels.shape[0], levels.shape[1]
     M = A * G
-    known, add, z, weight, effect, half, means = both
-    state, believed, spread, covariance = bank.state, bank.known, bank.spread, bank.covariance
-    squares, freedom = bank.squares, bank.freedom
+    known, add, weight, effect, half, means = both
+    slots, wind = bank.slots, bank.wind
     fill_weights(bank, weight)
     # the row holds share, mean, covariance, power and noise, starting at these indices
     second, third, fourth, fifth = 2 * A, 14 * A, 86 * A, 88 * A
@@ -482,14 +714,14 @@ def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: 
             w, g = weight[m, a], m // G
             rows[row, 2 * g + a] += w
             for j in range(4):
-                known[a, j] += w * believed[m, j]
+                known[a, j] += w * slots[KNOWN + j, m]
             for i in range(6):
                 if i < 3:
                     means[m, i] = 0.0
                     for j in range(4):
-                        means[m, i] += believed[m, j] * effect[j, i]
+                        means[m, i] += slots[KNOWN + j, m] * effect[j, i]
                 else:
-                    means[m, i] = disturbance(state, believed, m, 3 * a + i - 3)
+                    means[m, i] = _disturbance(bank, m, 3 * a + i - 3)
                 rows[row, second + 12 * g + 6 * a + i] += w * means[m, i]
         for i in range(2):
             along = 0.0
@@ -502,20 +734,20 @@ def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: 
             for i in range(6):
                 at = second + 12 * g + 6 * a + i
                 if i >= 3:
-                    z[g, 0, 3 * a + i - 3] = rows[row, at]
+                    parts[row, g, 3 * a + i - 3] = rows[row, at]
                 rows[row, at] /= share
         for m in range(M):
-            w, g, scale = weight[m, a], m // G, squares[m, a] / freedom[m, a]
+            w, g, scale = weight[m, a], m // G, slots[AXIS * a + SQUARES, m] / bank.freedom[a]
             part = w / max(rows[row, 2 * g + a], 1e-300)
             for j in range(4):
                 for i in range(3):  # ... and on the disturbance
-                    effect[j, 3 + i] = -state[m, 1 + j, 3 * a + i]
+                    effect[j, 3 + i] = -wind[1 + j, 3 * a + i, m]
             mean = second + 12 * g + 6 * a
             for i in range(6):
                 for j in range(4):
                     half[j, i] = 0.0
                     for n in range(4):
-                        half[j, i] += spread[m, j, n] * effect[n, i]
+                        half[j, i] += slots[SPREAD + UPPER[j, n], m] * effect[n, i]
             at = third + 72 * g + 36 * a
             for i in range(6):
                 off = means[m, i] - rows[row, mean + i]
@@ -524,7 +756,7 @@ def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: 
                     for n in range(4):
                         total += effect[n, i] * half[n, j]
                     if i >= 3 and j >= 3:
-                        total += covariance[m, a, i - 3, j - 3]
+                        total += slots[ROWS[3 * a + i - 3, 3 * a + j - 3], m]
                     rows[row, at + 6 * i + j] += part * (scale * total + off * (means[m, j] - rows[row, mean + j]))
             rows[row, fourth + 2 * g + a] += part * scale * levels[g, m % G, a, 0]
             rows[row, fifth + a] += w * scale * levels[g, m % G, a, 1]

@@ -7,6 +7,8 @@ width the error is some 1e-14 of the largest sum that such coefficients could ha
 Source: A. H. Barnett, J. Magland, L. af Klinteberg, SIAM J. Sci. Comput. 41 (2019), pp. C479-C504.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from rotorfit.core.frames import Array
@@ -40,13 +42,8 @@ class IrregularFourier:
         self._at = np.mod(at, self._size).astype(np.int64)
         off = (at - place[:, None]) / (WIDTH / 2)
         self._weight = _kernel(off)
-        m = np.arange(count) - count // 2
-        self._bin = np.mod(m, self._size)
-        nodes, weights = (part[NODES // 2 :] for part in np.polynomial.legendre.leggauss(NODES))  # half: it is even
-        rate = m * (np.pi * WIDTH / self._size)
-        self._transform = np.zeros(count)
-        for node, weight in zip(nodes, WIDTH * weights * _kernel(nodes), strict=True):
-            self._transform += weight * np.cos(rate * node)
+        self._bin = np.mod(np.arange(count) - count // 2, self._size)
+        self._transform = _transform(count, self._size)
         self._turn = np.exp(-1j * (count // 2) * points)  # the middle sum is number zero of the grid
 
     def over_points(self, coefficient: Array | Spectrum) -> Spectrum:
@@ -63,6 +60,17 @@ class IrregularFourier:
         grid = np.zeros(self._size, np.complex128)
         grid[self._bin] = coefficient / self._transform
         return np.asarray(self._turn * np.einsum("jw,jw->j", self._weight, np.fft.fft(grid)[self._at]))
+
+
+@lru_cache(maxsize=4)  # the axes of a flight have the same numbers of samples
+def _transform(count: int, size: int) -> Array:
+    """Transform of the kernel at the sums, that of number zero in the middle, shape (count,)."""
+    nodes, weights = (part[NODES // 2 :] for part in np.polynomial.legendre.leggauss(NODES))  # half: it is even
+    rate = np.arange(count // 2 + 1) * (np.pi * WIDTH / size)
+    half = np.zeros(rate.size)
+    for node, weight in zip(nodes, WIDTH * weights * _kernel(nodes), strict=True):
+        half += weight * np.cos(rate * node)
+    return half[np.abs(np.arange(count) - count // 2)]
 
 
 def _kernel(z: Array) -> Array:

@@ -13,7 +13,6 @@ from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.filter_bank import (
     bank_tables,
     empty_sum,
-    fade,
     judge,
     move,
     probe,
@@ -22,6 +21,8 @@ from rotorfit.dynamics.filter_bank import (
     sum_bank,
     take,
 )
+from rotorfit.dynamics.free_runs import STATE as RUN
+from rotorfit.dynamics.free_runs import free_runs
 from rotorfit.dynamics.general_response import advance, demands, longest_step, settle
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, START, STATE, P, Q, T, V, lag_series
 
@@ -40,61 +41,6 @@ def _in_force(t: float, law: Array, command_time: Array, command: Array, k: Any,
         while k[j] + 1 < command_time.size and command_time[k[j] + 1] + law[j, DELAY] <= t:
             k[j] += 1
         u[j] = command[k[j], j]
-
-
-@inner(fastmath={"contract"})
-def _run_free(
-    command_time: Array,
-    command: Array,
-    pose_time: Array,
-    before: int,
-    last: int,
-    yaw: float,
-    future_yaw: Array,
-    law: Array,
-    series: Array,
-    free: Any,
-    parts: Array,
-    F: Array,
-    step: Any,
-    out: Array,
-    row: int,
-) -> None:
-    """Predicts the poses after `before` up to `last` from the driven state and the disturbance, into out[row].
-
-    The parts (A, 1, 6) of the disturbance decay with their own transitions F (A, 2, U, 3, 3), and sum up.
-    """
-    z, k, u, what, whose, S = free
-    t, psi = pose_time[before], yaw
-    longest = longest_step(law)
-    z[T], z[T + COLUMNS] = law[0, TRIM], law[1, TRIM]
-    demands(law, what, whose, u, z)
-    for m in range(before + 1, last):
-        t_next, psi_next = pose_time[m], future_yaw[row, m - before - 1]
-        advance(
-            t, t_next, psi, psi_next, k, command_time.size, command_time, command, law, series, longest, what, whose,
-            z, u, S,
-        )  # fmt: skip
-        half = 0.5 * (psi_next - psi)
-        c, s = np.cos(half), np.sin(half)
-        for g in range(parts.shape[0]):
-            for j in range(parts.shape[1]):
-                fade(parts, g, j, F, g, step[m], c, s)
-        _add(parts, z, np.cos(psi_next), np.sin(psi_next), out, row, m - before - 1)
-        t, psi = t_next, psi_next
-
-
-@inner()
-def _add(parts: Array, z: Array, c: float, s: float, out: Array, row: int, place: int) -> None:
-    """Fills world position and velocity, out[row, place]: the driven state plus the disturbance."""
-    for j in range(2):
-        forward = left = 0.0
-        for g in range(parts.shape[0]):
-            forward += parts[g, 0, j]
-            left += parts[g, 0, 3 + j]
-        at = P if j == 0 else V
-        out[row, place, 2 * j] = z[at] + c * forward - s * left
-        out[row, place, 2 * j + 1] = z[at + COLUMNS] + s * forward + c * left
 
 
 class Forecast:
@@ -141,13 +87,13 @@ class Forecast:
         prior = np.concatenate([trim_variance, np.full(2, START_VELOCITY_VARIANCE)])
         self._classes = len(levels)
         self._given = (
-            command_time, command, pose_time, pose, yaw, step, law, lag_series(law), filter_law,
-            lag_series(filter_law), origin, levels, velocity, tracked, alone,
+            command_time, command, pose_time, pose, yaw, step, law, filter_law, lag_series(filter_law), origin, levels,
+            velocity, tracked, alone,
         )  # fmt: skip
-        work = np.empty(6), np.empty(5), np.empty(4), np.empty(5)
+        self._table = bank_tables(steps, levels)
         self._kept = (
-            np.zeros(1, np.int64), law.copy(), *bank_tables(steps, levels), start_bank(levels, prior),
-            empty_sum(levels), _columns(_WHAT, _WHOSE), _columns(_WHAT[:1], _WHOSE[:1]), work,
+            np.zeros(1, np.int64), self._table, start_bank(levels, prior), empty_sum(levels), _columns(_WHAT, _WHOSE),
+            np.empty(5),
         )  # fmt: skip
 
     def starts(self, first: Indices, last: Indices, future_yaw: Array) -> tuple[Array, Array, Array]:
@@ -163,10 +109,22 @@ class Forecast:
             position and velocity at the last pose before each start, shape (S, 4); and rows for
             `start_state_from_rows`, shape (S, `row_size(A)`).
         """
-        S, E = future_yaw.shape
-        out, begin, states = np.full((S, E, 4), np.nan), np.empty((S, 1, 4)), np.zeros((S, row_size(self._classes)))
-        _predict(*self._given, first, last, future_yaw, *self._kept, out, begin, states)
-        return out, begin[:, 0], states
+        S = first.size
+        state, in_force = np.empty((S, RUN)), np.empty((S, 2), np.int64)
+        parts, rows = np.empty((S, self._classes, 6)), np.zeros((S, row_size(self._classes)))
+        _filter(*self._given, first, *self._kept, state, in_force, parts, rows)
+        command_time, command, pose_time, _, heading, step, law = self._given[:7]
+        yaw = heading[first - 1]
+        out = free_runs(
+            command_time, command, law, pose_time, first, last, in_force, state, yaw, future_yaw, parts, self._table,
+            step,
+        )  # fmt: skip
+        c, s, (n, v) = np.cos(yaw), np.sin(yaw), parts.sum(axis=1).reshape(-1, 2, 3).transpose(2, 0, 1)[:2]
+        begin = state[:, :4].copy()
+        for i, (forward, left) in enumerate((n.T, v.T)):
+            begin[:, 2 * i] += c * forward - s * left
+            begin[:, 2 * i + 1] += s * forward + c * left
+        return out, begin, rows
 
 
 def _columns(what: Indices, whose: Indices) -> tuple[Array, Indices, Array, Indices, Indices, Array]:
@@ -175,20 +133,19 @@ def _columns(what: Indices, whose: Indices) -> tuple[Array, Indices, Array, Indi
 
 
 @kernel(fastmath={"contract"})
-def _predict(
+def _filter(
     command_time: Array, command: Array, pose_time: Array, pose: Array, yaw: Array, step: Any, law: Array,
-    series: Array, filter_law: Array, filter_series: Array, origin: Array, levels: Array, velocity: Array, tracked: Any,
-    alone: Any, first: Any, last: Any, future_yaw: Array, filtered: Any, known_law: Array, F: Array, D: Array,
-    bank: Any, both: Any, tracking: Any, free: Any, work: Any, out: Array, begin: Array, states: Array,
+    filter_law: Array, filter_series: Array, origin: Array, levels: Array, velocity: Array, tracked: Any, alone: Any,
+    first: Any, filtered: Any, table: Array, bank: Any, both: Any, tracking: Any, measured: Array, state: Array,
+    in_force: Any, parts: Array, rows: Array,
 ) -> None:  # fmt: skip
     """The loop over the starts, and over the poses up to each; `filtered` (1,) counts these across calls.
 
-    The arguments after `future_yaw` are work space kept across calls, or outputs.
+    The arguments after `first` are work space kept across calls, or outputs: state, command in force and disturbance
+    for `free_runs`, and rows as for `Forecast.starts`.
     """
     z, k, u, what, whose, S = tracking
-    gain, e, along, measured = work
-    known, add, parts = both.known, both.add, both.parts
-    run, run_k, run_u = free[0], free[1], free[2]
+    known, add = both.known, both.add
     longest = longest_step(filter_law)
     if not filtered[0]:
         _in_force(pose_time[0], law, command_time, command, k, u)
@@ -208,7 +165,7 @@ def _predict(
                     pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
                     filter_law, filter_series, longest, what, whose, z, u, S,
                 )  # fmt: skip
-                move(bank, levels, F, D, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
+                move(bank, table, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
             c, sn = np.cos(yaw[i]), np.sin(yaw[i])
             for a in range(2):
                 if not tracked[i, a]:
@@ -222,27 +179,20 @@ def _predict(
                         x, y = pose[i, 0] - pose[0, 0] - x, pose[i, 1] - pose[0, 1] - y
                     measured[j] = c * x + sn * y if a == 0 else c * y - sn * x
                 judge(bank, a, alone[a], measured, pose_time[i])
-                take(bank, levels, a, alone[a], measured, gain, e, along)
+                take(bank, a, alone[a], measured)
             probe(bank, pose_time[i])
         i = filtered[0] - 1
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
-        sum_bank(bank, levels, z, c, sn, both, states, s)
+        sum_bank(bank, levels, z, c, sn, both, parts, rows, s)
         for a in range(2):
             own = COLUMNS * a
-            run[P + own] = pose[0, a] + z[P + own] + add[a]
-            run[V + own] = z[V + own] + add[2 + a]
-            run[Q + own] = z[Q + own]
+            state[s, a] = pose[0, a] + z[P + own] + add[a]
+            state[s, 2 + a] = z[V + own] + add[2 + a]
+            state[s, 4 + a] = z[Q + own]
             for j in range(4):
-                run[Q + own] += known[a, j] * z[Q + own + 1 + j]
-            known_law[a, TRIM] = known[a, a]
-            run_k[a] = k[a]
-            run_u[a] = u[a]
-        for j in range(begin.shape[1]):
-            _add(parts, run, c, sn, begin, s, j)
-        _run_free(
-            command_time, command, pose_time, i, last[s], yaw[i], future_yaw, known_law, series, free, parts, F,
-            step, out, s,
-        )  # fmt: skip
+                state[s, 4 + a] += known[a, j] * z[Q + own + 1 + j]
+            state[s, 6 + a] = known[a, a]
+            in_force[s, a] = k[a]
 
 
 def free_run(

@@ -6,6 +6,7 @@ from the filter on data up to that instant; from then on only the commands are k
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +14,13 @@ from rotorfit.core.flight_data import LONGEST_GAP, Flight, Segment
 from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, Structure, law_of
 from rotorfit.core.results import AxisScore, Horizon, StartErrors
+from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.filter_bank import StartState, bank_levels, start_state_from_rows
+from rotorfit.dynamics.free_runs import STATE as RUN
+from rotorfit.dynamics.free_runs import free_runs
 from rotorfit.dynamics.kinematics import seen_in
-from rotorfit.dynamics.predictor import Forecast, free_run
+from rotorfit.dynamics.predictor import Forecast
 
 SETTLING = 2.0
 """Time at the beginning of a segment for the filter to settle before the first start [s]."""
@@ -280,26 +284,21 @@ def free_run_prediction(flight: Flight, part: Predictions, input_: Array, dampin
         input_: g of the four axes, shape (4,).
         damping: b of the four axes, shape (4,) [1/s].
     """
-    out = np.full_like(part.predicted, np.nan)
     law = np.array([law_of(FIRST_ORDER_DELAY, *pair, 0.0, {}) for pair in zip(input_, damping, strict=True)])
-    pairs = ([0, 1], [2, 3])
-    commands = [np.ascontiguousarray(flight.command[:, pair]) for pair in pairs]
-    in_force = np.maximum(np.searchsorted(flight.command_time, part.time[part.first - 1], side="right") - 1, 0)
-    for s, (first, last, k) in enumerate(zip(part.first, part.last, in_force, strict=True)):
-        t = part.time[first - 1 : last]
-        heading = np.concatenate([part.pose[first - 1 : first, 3], part.heading[s, : last - first]])
-        for pair, command, yaw in zip(pairs, commands, (heading, np.zeros(t.size)), strict=True):
-            motion = free_run(
-                flight.command_time[k:],
-                command[k:],
-                law[pair],
-                part.begin[s, 0, pair],
-                part.begin[s, 1, pair],
-                t,
-                yaw,
-            )
-            out[s, : last - first, 0, pair] = motion[1:, :2].T
-            out[s, : last - first, 1, pair] = motion[1:, 2:].T
+    before = part.first - 1
+    in_force = np.maximum(np.searchsorted(flight.command_time, part.time[before], side="right") - 1, 0)
+    S, out = before.size, np.empty_like(part.predicted)
+    nothing = np.empty((S, 0, 6)), np.empty((1, 24, 0)), np.zeros(part.time.size, np.int64)
+    for first, turns in ((0, 1.0), (2, 0.0)):
+        pair = slice(first, first + 2)
+        state = np.zeros((S, RUN))
+        state[:, :4] = part.begin[:, :, pair].reshape(S, 4)
+        motion = free_runs(
+            flight.command_time, np.ascontiguousarray(flight.command[:, pair]), law[pair], part.time, part.first,
+            part.last, np.column_stack([in_force, in_force]), state, turns * part.pose[before, 3],
+            turns * part.heading, *nothing,
+        )  # fmt: skip
+        out[..., pair] = motion.reshape(*motion.shape[:2], 2, 2)
     return out
 
 
@@ -330,36 +329,78 @@ def judged(part: Predictions, predicted: Array, horizons: Sequence[float]) -> Er
         predicted: The predictions for them, (S, E, 2, 4).
         horizons: Horizons [s].
     """
-    reach = np.arange(predicted.shape[1])
-    at = np.minimum(part.first[:, None] + reach, part.time.size - 1)
-    error = predicted[:, :, 1] - part.reference[at]
-    error[..., :2] = heading_from_world(error[..., :2], part.pose[at, 3])
-    good, end = _complete(part, FIT_HORIZON)
-    near = good[:, None] & (reach < (end - part.first)[:, None])
-    measured = part.reference[at[near]]
-    measured[:, :2] = heading_from_world(measured[:, :2], part.pose[at[near], 3])
-    moments = [_moments(*pair) for pair in zip(error[near].T, measured.T, strict=True)]
-    known = np.isfinite(error)
-    squares = np.cumsum(np.where(known, error, 0.0) ** 2, axis=1)
-    steps = np.cumsum(known, axis=1, dtype=np.int32)
+    begin, past = int(part.first[0]), int(part.last.max())
+    c, s = np.cos(part.pose[begin:past, 3]), np.sin(part.pose[begin:past, 3])
+    measured = part.reference[begin:past].copy()
+    x, y = measured[:, 0].copy(), measured[:, 1].copy()
+    measured[:, 0], measured[:, 1] = c * x + s * y, c * y - s * x
+    place = part.first - begin
+    counted = [_complete(part, horizon) for horizon in (FIT_HORIZON, *horizons)]
+    ends = np.array([np.where(good, end - part.first, 0) for good, end in counted])
+    sums = np.zeros((len(ends), part.start.size, 2, 4))
+    moments = np.zeros((3, 4))
+    _fill_squares(predicted, measured, c, s, place, ends, np.zeros((2, 4)), sums, moments)
     starts = {}
-    for horizon in horizons:
-        good, end = _complete(part, horizon)
+    for horizon, (good, end), (squares, steps) in zip(
+        horizons, counted[1:], sums[1:].transpose(0, 2, 1, 3), strict=True
+    ):
         run, last = np.flatnonzero(good), end[good] - 1
-        upto = last - part.first[good]
-        off = predicted[run, upto, 0] - part.pose[last]
+        off = predicted[run, last - part.first[good], 0] - part.pose[last]
         off[:, :2] = heading_from_world(off[:, :2], part.pose[last, 3])
         off[:, np.isin(AXES, part.alone)] = np.nan
-        starts[horizon] = StartErrors(part.start[good], squares[run, upto], steps[run, upto].astype(float), off**2)
-    return Errors(starts, *np.transpose(moments))
+        starts[horizon] = StartErrors(part.start[good], squares[good], steps[good], off**2)
+    return Errors(starts, moments[0], sums[0, :, 0].sum(axis=0), moments[1], moments[2])
 
 
-def _moments(error: Array, measured: Array) -> tuple[float, float, float, float]:
-    """Number of known errors, sum of their squares, and mean and squared deviations of the measurements there."""
-    known = np.isfinite(error)
-    error, measured = error[known], measured[known]
-    mean = float(measured.mean()) if measured.size else 0.0
-    return measured.size, float(error @ error), mean, float(np.sum((measured - mean) ** 2))
+@kernel()
+def _fill_squares(
+    predicted: Array, measured: Array, c: Array, s: Array, place: Any, ends: Any, total: Array, sums: Array,
+    moments: Array,
+) -> None:  # fmt: skip
+    """Sums the squared velocity errors of every start up to some steps, and counts the known ones.
+
+    Args:
+        predicted: Shape (S, E, 2, 4).
+        measured: Velocity in the measured heading, shape (N, 4); NaN where unknown.
+        c: Cosine of that heading, shape (N,).
+        s: Its sine, shape (N,).
+        place: Index of the first predicted pose of each start, shape (S,).
+        ends: Number of steps to sum, shape (H, S); 0 for none.
+        total: Work space, shape (2, 4).
+        sums: Zeros; filled with sum and number, shape (H, S, 2, 4).
+        moments: Zeros; filled for the first of the H, over all starts, with the number of known errors, and mean and
+            sum of squared deviations of the measurements there, shape (3, 4).
+
+    Source: B. P. Welford, Technometrics 4 (1962), pp. 419-420, for the deviations.
+    """
+    for i in range(place.size):
+        last = 0
+        for h in range(ends.shape[0]):
+            last = max(last, ends[h, i])
+        for n in range(2):
+            for a in range(4):
+                total[n, a] = 0.0
+        for j in range(last):
+            at = place[i] + j
+            x, y = predicted[i, j, 1, 0], predicted[i, j, 1, 1]
+            for a in range(4):
+                value = predicted[i, j, 1, a]
+                if a < 2:
+                    value = c[at] * x + s[at] * y if a == 0 else c[at] * y - s[at] * x
+                error = value - measured[at, a]
+                if np.isfinite(error):
+                    total[0, a] += error * error
+                    total[1, a] += 1.0
+                    if j < ends[0, i]:
+                        moments[0, a] += 1.0
+                        off = measured[at, a] - moments[1, a]
+                        moments[1, a] += off / moments[0, a]
+                        moments[2, a] += off * (measured[at, a] - moments[1, a])
+            for h in range(ends.shape[0]):
+                if ends[h, i] == j + 1:
+                    for n in range(2):
+                        for a in range(4):
+                            sums[h, i, n, a] = total[n, a]
 
 
 def joined(pieces: Sequence[Errors], horizons: Sequence[float]) -> Errors:

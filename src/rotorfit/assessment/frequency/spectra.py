@@ -228,7 +228,7 @@ def _regular(time: Array) -> Array:
 
 def _regular_integral(value: Array, duration: float, size: int) -> Spectrum:
     """The same for a smooth function at regular times, at the first multiples of 2 pi over the duration."""
-    return np.asarray(np.fft.fft(value)[1 : size + 1] * (duration / value.size))
+    return np.asarray(np.fft.rfft(value)[1 : size + 1] * (duration / value.size))
 
 
 def _velocity_integral(time: Array, position: Array, omega: Array) -> Spectrum:
