@@ -204,8 +204,8 @@ def free_port() -> int:
 # ROS 1
 
 
-@pytest.fixture(scope="module")
-def master() -> Iterator[dict[str, str]]:
+@contextmanager
+def a_master() -> Iterator[dict[str, str]]:
     """The environment of a master that is running."""
     if not (shutil.which("rosmaster") and Path(DEBIAN, "rospy").is_dir() and Path(DEBIAN, "diagnostic_msgs").is_dir()):
         if os.geteuid() or not shutil.which("apt-get"):
@@ -228,6 +228,12 @@ def master() -> Iterator[dict[str, str]]:
                 if one.connect_ex(("127.0.0.1", port)) == 0:
                     break
             time.sleep(0.1)
+        yield environment
+
+
+@pytest.fixture(scope="module")
+def master() -> Iterator[dict[str, str]]:
+    with a_master() as environment:
         yield environment
 
 
