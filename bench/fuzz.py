@@ -460,7 +460,7 @@ class Farm:
         if not fault and peak() > limit:
             fault = f"{peak():.0f} MB"
         if fault:
-            self.found(re.sub(r"\d+", "_", fault.splitlines()[0]), fault, content())
+            self.found(re.sub(r"'.*'|\".*\"|\d+", "_", fault.splitlines()[0]), fault, content())
         self.ends[end] += 1
         return self.ends[end] == 1
 

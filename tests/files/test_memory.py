@@ -102,6 +102,21 @@ def linked_groups(path: Path, count: int) -> Path:
     return path
 
 
+@pytest.mark.parametrize("user_block", [0, 512, 2048])
+def test_hdf5_is_not_asked_to_load_driver_information_of_any_size(user_block: int, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log"
+    with h5py.File(path, "w", userblock_size=user_block) as file:
+        file["x"] = np.arange(100.0)
+    data = bytearray(path.read_bytes())
+    data[:19] = data[:19] if user_block == 0 else b"MATLAB 7.3 MAT-file"
+    data[user_block + 48 : user_block + 56] = (len(data) - user_block).to_bytes(8, "little")  # where it lies
+    path.write_bytes(bytes(data) + bytes(4) + (0x7FFF_FFF0).to_bytes(4, "little") + b"NCSAmult" + bytes(100))
+
+    with pytest.raises(LogError, match="it needs a driver of HDF5, as no MAT file does"):
+        read(path)
+
+
 @pytest.mark.parametrize("wide", [wide_csv, wide_mat, linked_groups])
 def test_a_table_of_more_columns_than_anybody_can_look_at_is_one_line(
     wide: Callable[[Path, int], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

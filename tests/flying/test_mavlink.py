@@ -231,7 +231,7 @@ def test_an_autopilot_that_hears_nothing_any_more_is_a_lost_link_though_its_pose
     bench.wire.write = lambda _: None  # type: ignore[method-assign]
 
     # PX4 leaves its mode without commands, ArduPilot stays in its own
-    with pytest.raises(LinkError, match="left OFFBOARD|no answer for 3 s: what is sent does not reach the autopilot"):
+    with pytest.raises(LinkError, match=r"left OFFBOARD|no answer for 3 s: what is sent does not reach the autopilot"):
         bench.fly(5.0)
 
 
