@@ -141,8 +141,9 @@ def test_more_cells_than_memory_holds_are_refused(tmp_path: Path, monkeypatch: p
         read(tmp_path / "log")
 
 
-def test_columns_of_long_texts_are_left_out_by_their_first_rows(tmp_path: Path) -> None:
-    rows = "".join(f"{k},1.5,{'no number ' * 100}\n" for k in range(1000))
+@pytest.mark.parametrize(("count", "length"), [(1000, 1000), (100, 100_000)])
+def test_columns_of_long_texts_are_left_out_by_their_first_rows(count: int, length: int, tmp_path: Path) -> None:
+    rows = "".join(f"{k},1.5,{'no number ' * (length // 10)}\n" for k in range(count))
     (tmp_path / "log").write_text(f"time,x,note\n{rows}")
 
     log = read(tmp_path / "log")
@@ -165,6 +166,28 @@ def test_ten_gigabytes_of_text_are_refused_at_once(head: bytes, tmp_path: Path) 
         file.truncate(10 << 30)
     with pytest.raises(LogError, match="MiB of text; cut the log"):
         read(tmp_path / "log")
+
+
+EMPTY = {
+    "rosbag1": b"#ROSBAG V2.0\n",
+    "mcap": b"\x89MCAP0\r\n",
+    "rosbag2": b"SQLite format 3\0",
+    "ulog": b"ULog\x01\x12\x35\x01" + bytes(8),
+    "dataflash": b"\xa3\x95\x80\x80\x59FMT\0BBnNZ\0",
+    "parquet": b"PAR1",
+    "mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM",
+    "mat73": b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n",
+}
+
+
+@pytest.mark.parametrize("head", EMPTY.values(), ids=EMPTY)
+def test_ten_gigabytes_of_nothing_are_one_line(head: bytes, tmp_path: Path) -> None:
+    with (tmp_path / "log").open("wb") as file:
+        file.write(head)
+        file.truncate(10 << 30)
+    with pytest.raises(LogError) as refused:
+        read(tmp_path / "log")
+    assert str(refused.value).isprintable()
 
 
 def test_wide_parquet_is_refused(tmp_path: Path) -> None:
