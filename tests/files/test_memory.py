@@ -117,6 +117,12 @@ def test_hdf5_is_not_asked_to_load_driver_information_of_any_size(user_block: in
         read(path)
 
 
+def test_hdf5_that_ends_after_its_signature_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "log").write_bytes(b"\x89HDF\r\n\x1a\n\0")
+    with pytest.raises(LogError, match="damaged HDF5"):
+        read(tmp_path / "log")
+
+
 @pytest.mark.parametrize("wide", [wide_csv, wide_mat, linked_groups])
 def test_a_table_of_more_columns_than_anybody_can_look_at_is_one_line(
     wide: Callable[[Path, int], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

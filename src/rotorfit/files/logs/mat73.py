@@ -75,7 +75,7 @@ def _check_driver(path: Path) -> None:
         place, end = 0, file.seek(0, os.SEEK_END)
         while place < end:
             file.seek(place)
-            block = file.read(96)
+            block = file.read(96).ljust(96, b"\xff")  # what is cut off is as good as undefined
             if block.startswith(_MAGIC):
                 break
             place = max(2 * place, _USER_BLOCK)
