@@ -166,6 +166,12 @@ def steps(tmp_path: Path) -> tuple[dict[str, str], Path]:
     }, offset  # fmt: skip
 
 
+def set_by(offset: Path, step: str) -> None:
+    """Sets the clock of the process that looks at the file, which must never be seen half written."""
+    (new := offset.with_suffix(".new")).write_text(step, encoding="utf-8")
+    new.replace(offset)
+
+
 def flew_on(folder: Path, flight: "subprocess.Popen[str]") -> None:
     """The flight goes on as if nothing had been; Ctrl-C ends it; times of the recording neither stop nor jump."""
     time.sleep(3.0)
@@ -186,7 +192,7 @@ def test_a_step_of_our_own_time_of_day_is_not_felt(
 ) -> None:
     environment, offset = steps
     with flying(tmp_path, kind, own=environment, **peers) as (flight, _):
-        offset.write_text(step, encoding="utf-8")
+        set_by(offset, step)
         flew_on(tmp_path, flight)
 
 
@@ -196,7 +202,7 @@ def test_a_step_of_the_senders_clock_is_followed(
 ) -> None:
     environment, offset = steps
     with flying(tmp_path, kind, **peers, **environment) as (flight, _):
-        offset.write_text(step, encoding="utf-8")
+        set_by(offset, step)
         flew_on(tmp_path, flight)
     if kind == "mavlink":
         (survey,) = survey_logs([str(tmp_path / "flight.mcap")])
@@ -209,7 +215,7 @@ def test_poses_whose_clock_goes_back_end_the_flight_in_hover(
 ) -> None:
     environment, offset = steps
     with flying(tmp_path, kind, **peers, **environment) as (flight, _):
-        offset.write_text("-30", encoding="utf-8")
+        set_by(offset, "-30")
         error, after = ended_in_hover(tmp_path, flight, time.time_ns())
 
     told(kind, error, after)

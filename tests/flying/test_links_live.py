@@ -179,7 +179,8 @@ def agree(live: Live, direct: Path) -> None:
 
     A delay over middleware truly holds the way there as well, so its interval may end that much lower.
     """
-    fits: list[Fit] = [fit_logs([parse_log(str(one))]) for one in (live.log, direct)]
+    # by the law of three coefficients: with a lag, this flight does not tell those of z and yaw apart
+    fits: list[Fit] = [fit_logs([parse_log(str(one))], structure="first_order_delay") for one in (live.log, direct)]
     way, apart = transport(live)[0] / 1e3, list[str]()
     for axis in AXES:
         over, plain = (each.model.axes[axis] for each in fits)
