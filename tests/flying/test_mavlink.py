@@ -224,6 +224,24 @@ def test_commands_that_reach_the_autopilot_late_are_a_lost_link_but_for_the_hove
     bench.link.send((0.0, 0.0, 0.0, 0.0))
 
 
+def test_an_answer_that_lay_waiting_while_the_operator_was_asked_is_not_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, ardupilot=True, mode="flying")
+    bench.link.greet()
+    bench.link.receive(bench.instant + SECOND // 4)
+    bench.link._synced = 0
+    bench.link._keep_alive()
+    bench.autopilot.step(0.0)  # answers
+    bench.instant += 5 * SECOND
+    bench.room.instant += 5 * SECOND
+    bench.autopilot.step(0.0)  # a heartbeat, and no answer to what is asked from here on
+    monkeypatch.setattr(bench.autopilot, "step", lambda _: None)
+
+    bench.link.receive(bench.instant)
+
+    assert bench.link._trip > SECOND
+    bench.link.send((0.0, 0.0, 0.0, 0.0))
+
+
 def test_an_autopilot_that_hears_nothing_any_more_is_a_lost_link_though_its_poses_come(bench: Bench) -> None:
     bench.room.flight_mode = "flying"
     bench.link.greet()

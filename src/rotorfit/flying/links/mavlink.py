@@ -182,7 +182,9 @@ class MavlinkLink:
             raise LinkError("mavlink: the link was opened for poses only")
         if self._landing or (self._climbing and self._known.name == "ArduPilot"):
             return  # ArduPilot would take a velocity for the end of the take-off, and both for the end of a landing
-        self._sending = True
+        if not self._sending:  # answers to earlier requests may have waited for us
+            self._sending, self._trip, self._echoed = True, 0, wall_clock() if self._echoed else 0
+            self._requests.clear()
         self._check_way()
         self._set(self._commands, command)
         if not self._engaged and (not self._known.streams or wall_clock() - self._first_setpoint > STREAMED):
