@@ -34,7 +34,7 @@ help:
 	@echo "make coverage   the same, and counts which lines and branches the tests run; a third longer"
 	@echo "make test-fast  the daily loop: what takes no simulated or recorded flight, under a minute"
 	@echo "make test-slow  hundreds of simulated flights, and what a quicker test proves already"
-	@echo "make test-live  flights over ROS 1, MAVLink and UDP against fake vehicles; as root installs Debian's rospy"
+	@echo "make test-live  flights over ROS 1, MAVLink and UDP against fake vehicles, and what may go wrong with them; as root installs Debian's rospy"
 	@echo "make bench      timings"
 	@echo "make clean      remove what make has made"
 
@@ -61,7 +61,7 @@ test-slow: .venv/installed-dev
 	$(BIN)/pytest -m slow
 
 test-live: .venv/installed-dev
-	$(BIN)/pytest -m slow -s -rs tests/flying/test_links_live.py
+	$(BIN)/pytest -m slow -s -rs tests/flying/test_links_live.py tests/flying/test_links_faults.py
 
 bench: .venv/installed-bench
 	set -e; for script in bench/bench_*.py; do $(BIN)/python "$$script"; done

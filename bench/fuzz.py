@@ -443,6 +443,7 @@ class Farm:
     def judged(self, read: Callable[[], str], content: Callable[[], bytes]) -> bool:
         """Sees how one input ends; whether none ended so before."""
         from rotorfit.core.errors import RotorfitError
+        from rotorfit.core.plain import visible
 
         if time.monotonic() > self.start + self.seconds:
             self.finish()
@@ -452,7 +453,7 @@ class Farm:
             end = read()
         except RotorfitError as error:
             end = "refused: " + re.sub(r"'.*?'|\"(.*?)\"|\S*\d\S*|\S+/\S+", "_", str(error))[:200]
-            fault = "" if str(error).isprintable() else f"an error of several lines: {error!r}"
+            fault = "" if str(error) == visible(str(error)) else f"an error of several lines: {error!r}"
         except Exception as error:  # noqa: BLE001 - whatever it is, it is what is looked for
             end = fault = f"{type(error).__name__}: {error}"[:300]
         finally:
@@ -460,7 +461,7 @@ class Farm:
         if not fault and peak() > limit:
             fault = f"{peak():.0f} MB"
         if fault:
-            self.found(re.sub(r"\d+", "_", fault.splitlines()[0]), fault, content())
+            self.found(re.sub(r"'.*'|\".*\"|\d+", "_", fault.splitlines()[0]), fault, content())
         self.ends[end] += 1
         return self.ends[end] == 1
 

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import pytest
@@ -90,13 +91,18 @@ def test_a_flight_is_fitted_without_a_home_in_an_installation_that_cannot_be_wri
     assert (read_only.parent / "model.json").is_file()
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
 def test_another_user_runs_it() -> None:
-    command = [sys.executable, "-m", "rotorfit", "formats"]
-    plain = {"PATH": os.environ["PATH"], "PYTHONPATH": str(SOURCE)}
-    try:
-        done = subprocess.run(command, env=plain, user="nobody", cwd="/", capture_output=True, text=True)
-    except PermissionError:
-        pytest.skip("this Python is out of reach of other users")
-    assert done.returncode == 0, done.stderr
+    packages = sysconfig.get_path("purelib")
+    plain = {"PATH": os.environ["PATH"], "PYTHONPATH": f"{SOURCE}:{packages}", "TMPDIR": "/tmp"}
+    system = f"/usr/bin/python{sys.version_info.major}.{sys.version_info.minor}"  # where root alone has this Python
+    for python in filter(os.path.exists, (sys.executable, system)):
+        command = [python, "-m", "rotorfit", "formats"]
+        try:
+            done = subprocess.run(command, env=plain, user="nobody", cwd="/", capture_output=True, text=True)
+        except PermissionError:
+            continue
+        assert done.returncode == 0, done.stderr
+        assert "rosbag1" in done.stdout
+        return
+    pytest.skip("no Python of this version is within reach of other users")

@@ -13,7 +13,7 @@ from rotorfit.simulation.sensors import Mocap
 MOCAP = Mocap(rate=50.0, noise=0.002, turn_noise=0.002, latency=0.01, jitter=0.001)
 """The autopilot's own estimate: 50 Hz, and the delay of a filter."""
 
-BOOT = 123_456_789  # the autopilot was started so long before the room [ns]
+BOOT = 123_456_789_000  # the autopilot was started so long before the room [ns]
 SECOND = 1_000_000_000
 AUTO, OFFBOARD, POSITION = 4, 6, 3
 TAKE_OFF, LOITER, LAND = 2, 3, 6
@@ -140,8 +140,13 @@ def main() -> None:
     parser.add_argument("--ardupilot", action="store_true")
     options = parser.parse_args()
     room: LiveRoom = make(options)
-    autopilot = Autopilot(connect(options.address), room, options.ardupilot)
-    run_until_told(autopilot.step, room, options.arrivals)
+    autopilot, begun = Autopilot(connect(options.address), room, options.ardupilot), room.wall(0)
+
+    def step() -> None:
+        autopilot.clock = room.wall(0) - begun  # where the clock of this process steps, so does the autopilot's
+        autopilot.step()
+
+    run_until_told(step, room, options.arrivals)
 
 
 if __name__ == "__main__":

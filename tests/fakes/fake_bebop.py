@@ -32,8 +32,8 @@ def fill(message: Any, pose: tuple[float, ...], wall: int) -> Any:
 class Node:
     """Callbacks run in threads of rospy; one lock keeps the room whole."""
 
-    def __init__(self, room: LiveRoom, kind: str, topic: str) -> None:
-        self._room, self._kind = room, KINDS[kind]
+    def __init__(self, room: LiveRoom, kind: str, topic: str, slow: float = 0.0) -> None:
+        self._room, self._kind, self._slow = room, KINDS[kind], slow
         self._lock = threading.Lock()
         self._poses = rospy.Publisher(topic, self._kind, queue_size=10, tcp_nodelay=True)
         rospy.Subscriber("/bebop/cmd_vel", Twist, self._command, queue_size=1, tcp_nodelay=True)
@@ -49,6 +49,7 @@ class Node:
         time.sleep(0.002)
 
     def _command(self, twist: Twist) -> None:
+        time.sleep(self._slow)
         values = (twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z)
         self._locked(lambda: self._room.send(values))
 
@@ -61,10 +62,11 @@ def main() -> None:
     parser, make = arguments("bebop2", MOCAP)
     parser.add_argument("--kind", default="PoseStamped", choices=KINDS)
     parser.add_argument("--topic", default="/rigid_body_1/pose")
+    parser.add_argument("--slow", type=float, default=0.0, help="time that the driver takes for each command [s]")
     options = parser.parse_args()
     rospy.init_node("fake_bebop", disable_signals=True)
     room = make(options)
-    run_until_told(Node(room, options.kind, options.topic).step, room, options.arrivals)
+    run_until_told(Node(room, options.kind, options.topic, options.slow).step, room, options.arrivals)
 
 
 if __name__ == "__main__":

@@ -18,24 +18,34 @@ from rotorfit.simulation.flight_room import Conditions, FlightRoom
 from rotorfit.simulation.sensors import Mocap
 from rotorfit.simulation.vehicle import load_vehicle
 
+JUMP = 1.5
+"""How far poses lie from the truth along x once the motion capture takes another body for this one [m]."""
+
 
 class LiveRoom:
-    """A FlightRoom that is advanced to now whenever somebody looks or sends; keeps what arrived, and when."""
+    """A FlightRoom that is advanced to now whenever somebody looks or sends; keeps what arrived, and when.
+
+    Attributes:
+        arrived: The commands by the wall clock [ns].
+        fault: Of the poses: `stale`, they repeat; `jump`, they lie beside the vehicle; empty, there is none.
+    """
 
     def __init__(self, room: Any) -> None:
         room.advance(room.now + 1)  # compiles the kernel before the clock starts
         self._room = room
-        self._start = time.time_ns() - room.now
+        self._start = time.monotonic_ns() - room.now  # the vehicle's motion does not jump with the clock of its stamps
         self._ahead: list[Sample] = []
+        self._last: tuple[float, ...] = ()
         self.arrived: list[tuple[int, tuple[float, ...]]] = []
+        self.fault = ""
 
     def wall(self, instant: int) -> int:
         """The wall clock at an instant of the room [ns]."""
-        return self._start + instant
+        return time.time_ns() - self.now() + instant
 
     def now(self) -> int:
         """The room's instant [ns]."""
-        return time.time_ns() - self._start
+        return time.monotonic_ns() - self._start
 
     def send(self, command: Sequence[float]) -> None:
         self.arrived.append((time.time_ns(), tuple(command)))
@@ -58,7 +68,14 @@ class LiveRoom:
         """What the sensors have delivered since the last call."""
         self._catch_up()
         found, self._ahead = self._ahead, []
-        return found
+        return [self._seen(sample) if sample.stream == "pose" else sample for sample in found]
+
+    def _seen(self, pose: Sample) -> Sample:
+        """A pose as the motion capture has it."""
+        if self.fault == "stale" and self._last:
+            return replace(pose, values=self._last)
+        x, *rest = self._last = pose.values
+        return replace(pose, values=(x + JUMP, *rest)) if self.fault == "jump" else pose
 
     def _catch_up(self) -> None:
         self._ahead += self._room.advance(max(self.now(), self._room.now))
@@ -82,7 +99,10 @@ def arguments(vehicle: str, mocap: Mocap) -> tuple[argparse.ArgumentParser, Call
 
 
 def run_until_told(step: Callable[[], None], room: LiveRoom, arrivals: Path | None) -> None:
-    """Calls `step` again and again until SIGTERM, SIGINT or the end of the parent, then writes what arrived."""
+    """Calls `step` again and again until SIGTERM, SIGINT or the end of the parent, then writes what arrived.
+
+    From SIGUSR1 on poses are stale, from SIGUSR2 on they have jumped.
+    """
     told: list[int] = []
 
     def stop(number: int, _frame: FrameType | None) -> None:
@@ -90,6 +110,8 @@ def run_until_told(step: Callable[[], None], room: LiveRoom, arrivals: Path | No
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGUSR1, lambda *_: setattr(room, "fault", "stale"))
+    signal.signal(signal.SIGUSR2, lambda *_: setattr(room, "fault", "jump"))
     parent = os.getppid()
     print("ready", flush=True)
     while not told and os.getppid() == parent:

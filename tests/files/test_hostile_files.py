@@ -188,3 +188,15 @@ def test_control_characters_in_a_damaged_bag_are_shown_as_text(tmp_path: Path) -
     with pytest.raises(LogError) as refused:
         read(path)
     assert str(refused.value).isprintable()
+
+
+def test_control_characters_in_the_name_of_an_empty_section_are_shown_as_text(tmp_path: Path) -> None:
+    text = (
+        "Objects\x1b[2J\n100\n,,Global Angle (Quaternion) drone:drone,,,,,,\n"
+        "Frame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n,,,,,,mm,mm,mm\n\n"
+    )
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+
+    with pytest.raises(LogError, match="of the Vicon export holds no frames") as refused:
+        read(tmp_path / "log.csv")
+    assert str(refused.value).isprintable()

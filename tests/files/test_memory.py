@@ -102,6 +102,27 @@ def linked_groups(path: Path, count: int) -> Path:
     return path
 
 
+@pytest.mark.parametrize("user_block", [0, 512, 2048])
+def test_hdf5_is_not_asked_to_load_driver_information_of_any_size(user_block: int, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log"
+    with h5py.File(path, "w", userblock_size=user_block) as file:
+        file["x"] = np.arange(100.0)
+    data = bytearray(path.read_bytes())
+    data[:19] = data[:19] if user_block == 0 else b"MATLAB 7.3 MAT-file"
+    data[user_block + 48 : user_block + 56] = (len(data) - user_block).to_bytes(8, "little")  # where it lies
+    path.write_bytes(bytes(data) + bytes(4) + (0x7FFF_FFF0).to_bytes(4, "little") + b"NCSAmult" + bytes(100))
+
+    with pytest.raises(LogError, match="it needs a driver of HDF5, as no MAT file does"):
+        read(path)
+
+
+def test_hdf5_that_ends_after_its_signature_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "log").write_bytes(b"\x89HDF\r\n\x1a\n\0")
+    with pytest.raises(LogError, match="damaged HDF5"):
+        read(tmp_path / "log")
+
+
 @pytest.mark.parametrize("wide", [wide_csv, wide_mat, linked_groups])
 def test_a_table_of_more_columns_than_anybody_can_look_at_is_one_line(
     wide: Callable[[Path, int], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -126,8 +147,9 @@ def test_more_cells_than_memory_holds_are_refused(tmp_path: Path, monkeypatch: p
         read(tmp_path / "log")
 
 
-def test_columns_of_long_texts_are_left_out_by_their_first_rows(tmp_path: Path) -> None:
-    rows = "".join(f"{k},1.5,{'no number ' * 100}\n" for k in range(1000))
+@pytest.mark.parametrize(("count", "length"), [(1000, 1000), (100, 100_000)])
+def test_columns_of_long_texts_are_left_out_by_their_first_rows(count: int, length: int, tmp_path: Path) -> None:
+    rows = "".join(f"{k},1.5,{'no number ' * (length // 10)}\n" for k in range(count))
     (tmp_path / "log").write_text(f"time,x,note\n{rows}")
 
     log = read(tmp_path / "log")
@@ -150,6 +172,28 @@ def test_ten_gigabytes_of_text_are_refused_at_once(head: bytes, tmp_path: Path) 
         file.truncate(10 << 30)
     with pytest.raises(LogError, match="MiB of text; cut the log"):
         read(tmp_path / "log")
+
+
+EMPTY = {
+    "rosbag1": b"#ROSBAG V2.0\n",
+    "mcap": b"\x89MCAP0\r\n",
+    "rosbag2": b"SQLite format 3\0",
+    "ulog": b"ULog\x01\x12\x35\x01" + bytes(8),
+    "dataflash": b"\xa3\x95\x80\x80\x59FMT\0BBnNZ\0",
+    "parquet": b"PAR1",
+    "mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM",
+    "mat73": b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n",
+}
+
+
+@pytest.mark.parametrize("head", EMPTY.values(), ids=EMPTY)
+def test_ten_gigabytes_of_nothing_are_one_line(head: bytes, tmp_path: Path) -> None:
+    with (tmp_path / "log").open("wb") as file:
+        file.write(head)
+        file.truncate(10 << 30)
+    with pytest.raises(LogError) as refused:
+        read(tmp_path / "log")
+    assert str(refused.value).isprintable()
 
 
 def test_wide_parquet_is_refused(tmp_path: Path) -> None:

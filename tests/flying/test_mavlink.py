@@ -2,7 +2,10 @@
 
 import math
 import os
+import select
+import socket
 import time
+from collections import deque
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -28,6 +31,7 @@ from pymavlink.dialects.v20 import common  # noqa: E402
 
 MS, SECOND = 1_000_000, 1_000_000_000
 CARD = builtin_cards()["mavlink"]
+SELECT = select.select
 
 
 class Wire:
@@ -198,6 +202,91 @@ def test_silence_is_a_lost_link(bench: Bench) -> None:
         bench.fly(5.0)
 
 
+def test_commands_that_reach_the_autopilot_late_are_a_lost_link_but_for_the_hover_after_it(bench: Bench) -> None:
+    bench.room.flight_mode = "flying"
+    bench.link.greet()
+    bench.fly(2.0)
+    waiting, write, step = deque[tuple[int, bytes]](), bench.wire.write, bench.autopilot.step
+    delay = 0.0
+
+    def carried(wait: float) -> None:
+        while waiting and waiting[0][0] + delay * SECOND <= bench.instant:
+            write(waiting.popleft()[1])
+        step(wait)
+
+    bench.wire.write = lambda data: waiting.append((bench.instant, data))  # type: ignore[method-assign]
+    bench.autopilot.step = carried  # type: ignore[method-assign]
+    delay = 0.4
+    bench.fly(2.0)
+    delay = 0.6
+    with pytest.raises(LinkError, match=r"an answer took 0\.6 s: the link is slower than the plan; lower `rate`"):
+        bench.fly(2.0)
+    bench.link.send((0.0, 0.0, 0.0, 0.0))
+
+
+def test_an_answer_that_lay_waiting_while_the_operator_was_asked_is_not_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, ardupilot=True, mode="flying")
+    bench.link.greet()
+    bench.link.receive(bench.instant + SECOND // 4)
+    bench.link._synced = 0
+    bench.link._keep_alive()
+    bench.autopilot.step(0.0)  # answers
+    bench.instant += 5 * SECOND
+    bench.room.instant += 5 * SECOND
+    bench.autopilot.step(0.0)  # a heartbeat, and no answer to what is asked from here on
+    monkeypatch.setattr(bench.autopilot, "step", lambda _: None)
+
+    bench.link.receive(bench.instant)
+
+    assert bench.link._trip > SECOND
+    bench.link.send((0.0, 0.0, 0.0, 0.0))
+
+
+def test_an_autopilot_that_hears_nothing_any_more_is_a_lost_link_though_its_poses_come(bench: Bench) -> None:
+    bench.room.flight_mode = "flying"
+    bench.link.greet()
+    bench.fly(2.0)
+    bench.wire.write = lambda _: None  # type: ignore[method-assign]
+
+    # PX4 leaves its mode without commands, ArduPilot stays in its own
+    with pytest.raises(LinkError, match=r"left OFFBOARD|no answer for 3 s: what is sent does not reach the autopilot"):
+        bench.fly(5.0)
+
+
+def test_a_line_that_takes_nothing_is_waited_for_once_and_a_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mavlink, "BLOCKED", 0.05)
+    waits: list[float] = []
+    monkeypatch.setattr(mavlink.select, "select", lambda *ends: waits.append(ends[3]) or SELECT(*ends))
+    end, line = os.pipe()
+    os.set_blocking(line, False)
+    outlet = mavlink._Outlet(line)
+    try:
+        with pytest.raises(TimeoutError, match=r"takes nothing for 0\.05 s"):
+            outlet.write(bytes(1_000_000))
+        with pytest.raises(TimeoutError):
+            outlet.write(b"hover")
+        assert waits[-2:] == [0.05, 0.0]
+        os.read(end, 100_000)
+        outlet.write(b"hover")
+    finally:
+        os.close(end)
+        os.close(line)
+
+
+def test_a_connection_that_the_other_end_closes_is_a_lost_link(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        link = mavlink.MavlinkLink(mavlink.connect(f"tcp:127.0.0.1:{server.getsockname()[1]}"), mavlink_commands(CARD))
+        other, _ = server.accept()
+        other.close()
+        with pytest.raises(LinkError, match="the other end closed the connection"):
+            link.receive(link.now + SECOND)
+        link.act("close")
+
+    assert capsys.readouterr().out == ""
+
+
 def test_a_cable_that_is_pulled_is_a_lost_link_not_a_trace(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def gone(*_: object) -> None:
         raise OSError(5, "Input/output error")
@@ -339,6 +428,29 @@ def test_the_attitude_is_interpolated_to_the_instant_of_the_position() -> None:
     heading = math.pi / 2 - float(yaw_from_quaternion(*np.array(late[0].values[3:])))
     assert heading == pytest.approx(0.35, abs=1e-4)
     assert late[1].values == pytest.approx((0.3 * math.cos(0.35), 0.3 * math.sin(0.35), 0.1, -0.5), abs=1e-4)
+
+
+def test_poses_go_on_at_once_where_the_senders_clock_goes_back() -> None:
+    poses = Poses()
+
+    def at(ms: int) -> list[Sample]:
+        place = message("LOCAL_POSITION_NED", ms, x=1.0, y=0.0, z=-1.0, vx=0.3, vy=0.0, vz=-0.1)
+        return poses.take(place, 0) + poses.take(turned(ms, 0.2), 0)
+
+    before = [len(at(40_000 + 20 * k)) for k in range(60)]
+    after = [len(at(10_000 + 20 * k)) for k in range(60)]
+
+    assert before[1:] == [2] * 59
+    assert after[1:] == [2] * 59
+
+
+def test_a_message_that_another_one_overtook_costs_nothing() -> None:
+    poses = Poses()
+    place = message("LOCAL_POSITION_NED", 115, x=1.0, y=0.0, z=-1.0, vx=0.3, vy=0.0, vz=-0.1)
+    for ms in (100, 120, 140):
+        poses.take(turned(ms, 0.2), ms)
+
+    assert len(poses.take(place, 145)) == 2
 
 
 def test_whole_odometry_replaces_position_and_attitude() -> None:

@@ -93,7 +93,7 @@ def one_line(text: object) -> str:
 def listed(names: Sequence[str], most: int = 6) -> str:
     """The first names and the number of further ones, for a note."""
     more = len(names) - most
-    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+    return visible(", ".join(names[:most])) + (f" and {more} more" if more > 0 else "")
 
 
 def column_from(values: Column) -> Column:

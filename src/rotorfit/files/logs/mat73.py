@@ -3,6 +3,7 @@
 HDF5 stores MATLAB's column-major arrays by rows: they arrive transposed and are transposed back.
 """
 
+import os
 from collections.abc import Collection, Iterator
 from itertools import count
 from math import prod
@@ -48,6 +49,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
         import h5py
     except ImportError as error:
         raise LogError(f"{path}: MAT 7.3 needs h5py; pip install 'rotorfit[mat73]', or save with -v7") from error
+    _check_driver(path)
     columns: dict[str, Column] = {}
     others: list[str] = []
     try:
@@ -59,6 +61,30 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
         raise LogError(f"{path}: no array of numbers in the file; save the signals as plain arrays")
     notes = [f"variables left out because they are not arrays of numbers: {listed(others)}"] if others else []
     return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
+
+
+def _check_driver(path: Path) -> None:
+    """Refuses driver information: MATLAB writes none, and HDF5 would load as many bytes of it as the file claims.
+
+    Source: HDF5 file format specification 3.0, II.A, "Superblock", versions 0 and 1; it begins at 0, 512, 1024, 2048...
+
+    Raises:
+        LogError: There is driver information.
+    """
+    with path.open("rb") as file:
+        place, end = 0, file.seek(0, os.SEEK_END)
+        while place < end:
+            file.seek(place)
+            block = file.read(96).ljust(96, b"\xff")  # what is cut off is as good as undefined
+            if block.startswith(_MAGIC):
+                break
+            place = max(2 * place, _USER_BLOCK)
+        else:
+            return
+    version, size = block[8], block[13]
+    first = 24 + 4 * version + 3 * size  # the fourth of the addresses
+    if version < 2 and block[first : first + size].strip(b"\xff"):
+        raise LogError(f"{path}: damaged HDF5 (it needs a driver of HDF5, as no MAT file does); copy the file again")
 
 
 def _gather(

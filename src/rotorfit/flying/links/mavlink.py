@@ -67,6 +67,16 @@ EXPLAINING = SECOND // 2
 TEXTS = 5
 """Number of its last texts that explain a refusal."""
 
+BLOCKED = 0.4
+"""How long a serial line or TCP may take nothing [s]."""
+
+WAITING = 256
+"""Number of bytes that may wait in a TCP connection: four commands, as many as the kernel lets wait for a serial
+line."""
+
+BEHIND, REQUESTS = SECOND // 2, 50
+"""Time that a request for the clock and its answer may take in flight [ns], and how many requests are remembered."""
+
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE", "LOCAL_POSITION_NED", "ODOMETRY")
 
 
@@ -114,6 +124,8 @@ class MavlinkLink:
         self._refused: tuple[int, str] | None = None  # when, and what
         self._goes_on: float | None = None  # as the autopilot is set
         self._heard = self._beaten = self._synced = 0
+        self._requests = deque[int](maxlen=REQUESTS)  # for the autopilot's clock, when they were made
+        self._echoed = self._trip = 0  # when the last answer came, and how long it took [ns]
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
         self._asked, self._tries = 0, 0
         self._first_setpoint = self._last_setpoint = 0
@@ -170,7 +182,10 @@ class MavlinkLink:
             raise LinkError("mavlink: the link was opened for poses only")
         if self._landing or (self._climbing and self._known.name == "ArduPilot"):
             return  # ArduPilot would take a velocity for the end of the take-off, and both for the end of a landing
-        self._sending = True
+        if not self._sending:  # answers to earlier requests may have waited for us
+            self._sending, self._trip, self._echoed = True, 0, wall_clock() if self._echoed else 0
+            self._requests.clear()
+        self._check_way()
         self._set(self._commands, command)
         if not self._engaged and (not self._known.streams or wall_clock() - self._first_setpoint > STREAMED):
             self._engage(wall_clock())
@@ -220,6 +235,22 @@ class MavlinkLink:
         if self._trouble:
             raise LinkError(self._trouble)
 
+    def _check_way(self) -> None:
+        """Raises if commands arrive late or not at all, as requests for the clock do, which go the same way.
+
+        It does so once, because the hover that follows must be sent.
+        """
+        echoed, trip = self._echoed, self._trip
+        silent = echoed and wall_clock() - echoed > SILENCE
+        if not silent and trip <= BEHIND:
+            return
+        self._echoed = self._trip = 0
+        if silent:
+            raise LinkError(f"mavlink: no answer for {SILENCE / SECOND:g} s: what is sent does not reach the autopilot")
+        raise LinkError(
+            f"mavlink: an answer took {trip / SECOND:.1f} s: the link is slower than the plan; lower `rate` in the plan"
+        )
+
     def _take(self, message: Any, received: int) -> None:
         """Takes one message of any sender; only the autopilot's count."""
         kind = message.get_type()
@@ -242,7 +273,8 @@ class MavlinkLink:
             self._on_ground = message.landed_state == ON_GROUND
             if self._known.name == "ArduPilot" and not self._steps and message.landed_state == IN_AIR:
                 self._climbing = False
-        elif kind == "TIMESYNC" and message.tc1 > 0 and message.ts1 == self._synced:
+        elif kind == "TIMESYNC" and message.tc1 > 0 and message.ts1 in self._requests:
+            self._echoed, self._trip = received, received - message.ts1
             step = self._poses.clock.exchanged(message.ts1, message.tc1, received)
             if step:
                 self._tell(
@@ -304,8 +336,15 @@ class MavlinkLink:
             raise LinkError(f"mavlink: cannot send ({error}); the link is lost") from error
 
     def _heard_all(self) -> bool:
-        """Takes every waiting message; whether there was one."""
+        """Takes every waiting message; whether there was one.
+
+        Raises:
+            LinkError: The connection broke, or the other end closed it.
+        """
         took = False
+        port = getattr(self._connection, "port", None)
+        if isinstance(port, socket.socket) and port.type == socket.SOCK_STREAM and _is_over(port):
+            raise LinkError("mavlink: the other end closed the connection")
         try:
             while (message := self._connection.recv_msg()) is not None:
                 self._take(message, wall_clock())
@@ -343,6 +382,7 @@ class MavlinkLink:
             self._say("heartbeat", 18, 8, 0, 0, 4)  # onboard controller, no autopilot, active
         if self._autopilot is not None and now - self._synced >= SYNC_PERIOD:
             self._synced = now
+            self._requests.append(now)
             self._say("timesync", 0, now)
         if self._refused is not None and now - self._refused[0] >= EXPLAINING:
             self._trouble, self._refused = self._trouble or self._explained(*self._refused), None
@@ -385,6 +425,44 @@ def _refuse_if_taken(address: str) -> None:
             ) from error
 
 
+def _is_over(stream: socket.socket) -> bool:
+    """Whether the other end of a stream has closed it; pymavlink would print that, again and again.
+
+    Raises:
+        LinkError: The stream broke.
+    """
+    try:
+        return stream.recv(1, socket.MSG_PEEK) == b""
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        raise LinkError(f"mavlink: cannot receive ({error}); the link is lost") from error
+
+
+class _Outlet:
+    """Writes to a serial line or TCP, in the place of pymavlink, which waits without end or drops what is not taken.
+
+    It waits until the line has room: in a long queue commands, and the hover that ends a flight, would grow old.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor, self._patience = descriptor, BLOCKED
+
+    def write(self, message: bytes) -> None:
+        """Writes a message.
+
+        Raises:
+            OSError: The line is gone, or takes nothing; then the next message does not wait.
+        """
+        left = memoryview(message)
+        while left:
+            if not select.select((), (self._descriptor,), (), self._patience)[1]:
+                self._patience = 0.0
+                raise TimeoutError(f"it takes nothing for {BLOCKED:g} s")
+            left = left[os.write(self._descriptor, left) :]
+        self._patience = BLOCKED
+
+
 def connect(address: str) -> Any:
     """Opens a port.
 
@@ -400,6 +478,11 @@ def connect(address: str) -> Any:
         )
         if address.startswith("/"):
             fcntl.flock(connection.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if address.startswith("tcp:"):
+            connection.port.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, WAITING)
+            connection.port.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)  # the kernel takes its least
+        if address.startswith(("/", "tcp:")):
+            connection.write = _Outlet(connection.fd).write
         return connection
     except BlockingIOError as error:
         raise LinkError(f"mavlink: {address} is in use by another program; end it first") from error

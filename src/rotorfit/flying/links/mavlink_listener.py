@@ -11,7 +11,6 @@ Source: MAVLink common message set, mavlink.io/en/messages/common.html.
 """
 
 import math
-import socket
 from typing import Any
 
 from rotorfit.core.card import Card
@@ -91,18 +90,6 @@ class MavlinkListener(MavlinkLink):
     def _request(self) -> None:
         for message, rate in STREAMS.items():
             self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-    def _heard_all(self) -> bool:
-        if self._stream and isinstance(port := getattr(self._connection, "port", None), socket.socket):
-            try:
-                over = port.recv(1, socket.MSG_PEEK) == b""
-            except BlockingIOError:
-                over = False
-            except OSError as error:
-                raise LinkError(f"mavlink: cannot receive ({error}); the link is lost") from error
-            if over:
-                raise LinkError("mavlink: the other end closed the connection")
-        return super()._heard_all()
 
     def _take(self, message: Any, received: int) -> None:
         """Takes one message, of the autopilot or of whoever commands it."""

@@ -42,6 +42,9 @@ TAKE_OFF_HEIGHT = 1.5
 
 ATTITUDES_KEPT, POSITIONS_KEPT = 50, 50
 
+OVERTAKING = 200_000_000
+"""How far messages may overtake each other [ns]; a stamp that lies further back is of a clock that went back."""
+
 
 @dataclass(frozen=True)
 class AutopilotProtocol:
@@ -256,15 +259,19 @@ class Poses:
             return self._odometry(message, received)
         if self._whole:
             return []
+        stamp = message.time_boot_ms * 1_000_000
+        if self._attitudes and stamp < self._attitudes[-1][0] - OVERTAKING:
+            self._attitudes.clear()
+            self._positions.clear()
         if kind == "LOCAL_POSITION_NED":
             position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
-            self._positions.append((message.time_boot_ms * 1_000_000, position, velocity))
+            self._positions.append((stamp, position, velocity))
         else:
             if kind == "ATTITUDE_QUATERNION":
                 quaternion = (message.q1, message.q2, message.q3, message.q4)
             else:
                 quaternion = quaternion_from_euler(message.roll, message.pitch, message.yaw)
-            self._attitudes.append((message.time_boot_ms * 1_000_000, quaternion, message.yawspeed))
+            self._attitudes.append((stamp, quaternion, message.yawspeed))
         return self._complete(received)
 
     def _complete(self, received: int) -> list[Sample]:
