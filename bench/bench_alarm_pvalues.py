@@ -28,7 +28,7 @@ from changing_flights import Scenario, changing_flight, piloted_flight
 from designs import designs
 from designs import flown as flown_design
 from rotorfit.core.flight_data import Flight
-from rotorfit.tracking import changes, tracker
+from rotorfit.tracking import changes, following
 from rotorfit.tracking.replayed import tracked
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -111,7 +111,7 @@ class Looks:
 
 def watched(flight: Flight, structure: str) -> tuple[list[dict], list]:
     """What was seen at each look of a flight, and its alarms."""
-    watch = tracker.looked_together = Looks()
+    watch = following.looked_together = Looks()
     alarms = tracked(flight, structure).alarms
     return [one for one in watch.seen if one["looks"]], list(alarms)
 
