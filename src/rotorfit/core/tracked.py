@@ -217,12 +217,17 @@ class Alarm:
         """When it was raised first [s]."""
         return self.time if self.revises is None else self.revises
 
+    @property
+    def title(self) -> str:
+        """Axes and cause in words, and whether the alarm is new."""
+        named = f"{', '.join(self.axes)}: {self.cause}"
+        return f"ALARM {named}" if self.revises is None else f"REVISED {named}, alarm of {self.revises:.2f} s"
+
     def to_mapping(self) -> dict[str, Any]:
         """The alarm as a line of JSON holds it."""
         return {
             "type": "alarm",
             "time": self.time,
-            "revises": self.revises,
             "axes": list(self.axes),
             "cause": self.cause,
             "since": list(self.since),
@@ -230,6 +235,7 @@ class Alarm:
             "confidence": self.confidence,
             "p_value": self.p_value,
             "why": self.why,
+            "revises": self.revises,
         }
 
 

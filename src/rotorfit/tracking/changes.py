@@ -395,10 +395,15 @@ def calm(scores: Scores, since: float, p_value: float) -> bool:
 
 
 def at_once(scores: Scores, looked: Sequence[Contrast], since: float) -> Contrast | None:
-    """The most significant contrast of other axes at the time of a change: the window from then on, or one near it."""
-    near = [one for one in looked if abs(one.since - since) < TOGETHER]
+    """The most significant contrast of other axes at the time of a change: the window from then on, or a jolt near it."""
+    jolts = [one for one in looked if scores.jolts.size and one.directions == 1 and abs(one.since - since) < TOGETHER]
     window = contrast(scores, since)
-    return min((*near, *([window] if window else ())), key=lambda one: one.p_value, default=None)
+    return min((*jolts, *([window] if window else ())), key=_alone, default=None)
+
+
+def _alone(one: Contrast) -> float:
+    """The p-value of a contrast by itself, also where it was found together with those of other axes."""
+    return _p_value(one.statistic, one.directions, one.freedom)
 
 
 def since_when(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> tuple[Contrast, tuple[float, float]]:
