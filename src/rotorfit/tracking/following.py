@@ -164,6 +164,7 @@ class Following:
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
+        self._known: dict[str, float] = {}
         self._seen: _Seen | None = None
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
@@ -318,6 +319,7 @@ class Following:
     def _begin(self, alarm: Alarm, since: float, before: _Before) -> None:
         """Begins a regime for the axes of an alarm; an axis that only its first version named is as it was before."""
         changed = dict.fromkeys(alarm.axes, since)
+        self._known = {axis: time for axis, time in self._known.items() if axis not in changed}
         self._since, self._changed = {**before.since, **changed}, {**before.changed, **changed}
         self._bounds = sorted([*before.bounds, (since, alarm)], key=lambda bound: bound[0])
         groups = dict(self._groups)
@@ -421,6 +423,10 @@ class Following:
     ) -> TrackedAxis:
         """What is known of one axis."""
         knowledge, state = _knowledge(flight, axis, now, fitted, report)
+        if knowledge == "known":
+            self._known[axis] = now
+        elif axis in self._known and knowledge != "holding":
+            state = f"{state} (known until {self._known[axis]:.0f} s, taken back)"
         if axis in self._changed:
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
         out = TrackedAxis(knowledge, state)
