@@ -33,8 +33,6 @@ from rotorfit.tracking.replayed import tracked
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 QUANTILES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
-ALL = 0.02
-"""p-value under white innovations from which on a contrast is not looked at further, here: the tracker stops sooner."""
 
 Flown = Iterator[tuple[str, Flight, str]]
 
@@ -137,7 +135,6 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="other seeds")
     parser.add_argument("--json", type=Path, help="every look, a line a flight")
     given = parser.parse_args()
-    changes.UNLIKELY = ALL
     print(f"share of looks whose least p-value, times the number looked at, is below {QUANTILES}")
     for kind in given.kinds.split(","):
         values, seconds, alarms = [], 0.0, 0

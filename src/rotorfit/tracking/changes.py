@@ -395,7 +395,7 @@ def calm(scores: Scores, since: float, p_value: float) -> bool:
 
 
 def at_once(scores: Scores, looked: Sequence[Contrast], since: float) -> Contrast | None:
-    """The most significant contrast of other axes at the time of a change: the window from then on, or a jolt near it."""
+    """The most significant contrast of other axes at the time of a change: the window since, or a jolt near it."""
     jolts = [one for one in looked if scores.jolts.size and one.directions == 1 and abs(one.since - since) < TOGETHER]
     window = contrast(scores, since)
     return min((*jolts, *([window] if window else ())), key=_alone, default=None)

@@ -20,6 +20,7 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
+from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
@@ -63,6 +64,12 @@ RESTLESS = 0.97
 
 BEGINS = 0.1
 """Step by which the beginning of what a look uses of a long regime moves, as a share of `LONGEST`."""
+
+ENOUGH, FEW = 11.0, 20
+"""Time from which on a fit tests whether an axis is only held [s]: `position_loop.LEAST` averages. Before that the test
+is made at each look, with this number of averages."""
+
+HELD = "its commands only answer its motion"
 
 QUIET = 5.0
 """Time without a new command after which an axis is `holding` [s]: by then it has answered the last one."""
@@ -376,7 +383,8 @@ class Following:
 
     def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
         """The state in words and numbers."""
-        known = {axis: group.fitted for axes, group in self._groups.items() for axis in axes}
+        held = {axis for group in self._groups.values() for axis in _held(group, flight, now)}
+        known = {axis: None if axis in held else one.fitted for axes, one in self._groups.items() for axis in axes}
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
         report = {axis: axis_report(one, axis) for axis, one in known.items() if one}
         vehicles = with_drag(flight.card, estimates, {axis: one.ci95_flight for axis, one in report.items()})
@@ -397,6 +405,7 @@ class Following:
             axis: self._axis(flight, axis, now, known.get(axis), report.get(axis), moving.get(axis))
             for axis in flight.axes
         }
+        axes |= {axis: replace(one, state=f"{one.state} (so far {HELD})") for axis, one in axes.items() if axis in held}
         if self._earlier:
             axes = {
                 axis: one if axis in self._changed else told_after(one, self._earlier, axis, axis in self._unlike)
@@ -451,6 +460,14 @@ class Following:
 def next_look(due: float, now: float, every: float = EVERY) -> float:
     """Time of the next look or glance, a whole number of periods after one that was due at `due` [s]."""
     return due + every * max(float(np.ceil((now - due) / every + 1e-9)), 1.0)
+
+
+def _held(group: Group, flight: Flight, now: float) -> tuple[str, ...]:
+    """The axes of a group whose commands so far are a position controller's, if its last fit was too short to tell."""
+    if group.fitted is None or sum(part.duration for part in group.fitted.fit.flights) > ENOUGH:
+        return ()
+    part = group.part(flight, group.since, now)
+    return restored_axes([part], group.axes, FEW) if part else ()
 
 
 def _renewed(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
