@@ -28,13 +28,11 @@ from changing_flights import Scenario, changing_flight, piloted_flight
 from designs import designs
 from designs import flown as flown_design
 from rotorfit.core.flight_data import Flight
-from rotorfit.tracking import changes, tracker
+from rotorfit.tracking import changes, following
 from rotorfit.tracking.replayed import tracked
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 QUANTILES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
-ALL = 0.02
-"""p-value under white innovations from which on a contrast is not looked at further, here: the tracker stops sooner."""
 
 Flown = Iterator[tuple[str, Flight, str]]
 
@@ -111,7 +109,7 @@ class Looks:
 
 def watched(flight: Flight, structure: str) -> tuple[list[dict], list]:
     """What was seen at each look of a flight, and its alarms."""
-    watch = tracker.looked_together = Looks()
+    watch = following.looked_together = Looks()
     alarms = tracked(flight, structure).alarms
     return [one for one in watch.seen if one["looks"]], list(alarms)
 
@@ -137,7 +135,6 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="other seeds")
     parser.add_argument("--json", type=Path, help="every look, a line a flight")
     given = parser.parse_args()
-    changes.UNLIKELY = ALL
     print(f"share of looks whose least p-value, times the number looked at, is below {QUANTILES}")
     for kind in given.kinds.split(","):
         values, seconds, alarms = [], 0.0, 0

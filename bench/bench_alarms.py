@@ -9,12 +9,12 @@ loop. 60 s of learning; the change comes within the second after. Flights with d
 then, so each is learnt once.
 
 - found: share detected within 20 s (a fading battery: 65 s); time from the change to the alarm, median and 95 %; the
-  cause that was named.
+  cause that was named, at once and by the revision.
 - knowing: a test that knows course and size of the change, but not its time. It correlates with the innovations of the
-  changed flight less those of the same flight unchanged, both under the estimate before the change, as often as the
-  tracker looks, at a threshold with the same rate of false alarms over the same number of windows. What it does not
-  find cannot be found.
-- ratio: median time to the alarm over that of the knowing test, for flights in which both find the change.
+  changed flight less those of the same flight unchanged, both under the estimate before the change, once a second, at a
+  threshold with the same rate of false alarms over the same number of windows. What it does not find cannot be found.
+- as often: the same test as often as the tracker glances.
+- ratios: median time to the alarm over that of either, for flights in which both find the change.
 
 False alarms are counted by `bench_alarm_pvalues.py`; those before a change are counted here, too.
 """
@@ -33,10 +33,11 @@ import numpy as np
 from changing_flights import CAUSES, ChangingFlight, Scenario, changing_flight
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Sample
-from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, Following, scores_of_groups
+from rotorfit.core.tracked import Alarm
+from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, REVISED, Following, scores_of_groups
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.refits import renewed
-from rotorfit.tracking.replayed import until
+from rotorfit.tracking.replayed import growing, until
 from rotorfit.tracking.scores import WINDOWS, Scores
 
 LEARNT, WITHIN, SLOW = 60.0, 20.0, 65.0
@@ -59,9 +60,10 @@ class Told:
         cause: What changed.
         vehicle, loop, gusts, seed: The flight.
         found: Time to the alarm [s]; None where none was raised.
-        named: As what; None likewise.
-        knowing: Time of the test that knows [s]; None where it finds nothing.
-        worth: Its statistic at the end: standard deviations of the change.
+        first: As what, when it was raised; None likewise.
+        named: As what in the end; None likewise.
+        knowing: Time of the test that knows, once a second [s]; None where it finds nothing.
+        often: The same as often as the tracker glances.
         early: False alarms before.
     """
 
@@ -71,9 +73,10 @@ class Told:
     gusts: float
     seed: int
     found: float | None
+    first: str | None
     named: str | None
     knowing: float | None
-    worth: float
+    often: float | None
     early: int
 
 
@@ -94,31 +97,35 @@ def told_of(job: tuple[int, Scenario, Sequence[str], str]) -> list[Told]:
         within = SLOW if cause == "battery" else WITHIN
         alarm = _of_pose(flown, within) if cause in OF_THE_POSE else None
         alarm = alarm or _alarm(copy.deepcopy(following), flown.flight, moment, within)
-        known, worth = (None, 0.0) if cause in OF_THE_POSE else _knowing(following, base, flown, moment, within)
-        at, named = alarm or (None, None)
-        told.append(Told(cause, scenario.vehicle, scenario.loop, scenario.gusts, seed, at, named, known, worth, early))
+        known = (None, None) if cause in OF_THE_POSE else _knowing(following, base, flown, moment, within)
+        flight = scenario.vehicle, scenario.loop, scenario.gusts, seed
+        told.append(Told(cause, *flight, *(alarm or (None, None, None)), *known, early))
     return told
 
 
 def _learnt(flight: Flight, structure: str) -> tuple[Following, int]:
     """The tracker before the change, and how many alarms it has raised."""
     following, alarms = Following(structure), 0
-    while following.next_look <= LEARNT:
-        now = following.next_look
-        alarms += len(following.look(until(flight, now), now).alarms)
+    for part, now in growing(until(flight, LEARNT + 1e-6), following.next_look, GLANCE):
+        state = following.follow(part, now)
+        alarms += sum(alarm.revises is None for alarm in state.alarms) if state else 0
     return following, alarms
 
 
-def _alarm(following: Following, flight: Flight, moment: float, within: float) -> tuple[float, str] | None:
-    """Time and name of the first alarm after the change."""
-    while following.next_look <= moment + within:
-        now = following.next_look
-        if alarms := following.look(until(flight, now), now).alarms:
-            return now - moment, alarms[0].cause
-    return None
+def _alarm(following: Following, flight: Flight, moment: float, within: float) -> tuple[float, str, str] | None:
+    """Time and names of the first alarm after the change: when it was raised, and when it was revised."""
+    first: Alarm | None = None
+    for part, now in growing(flight, LEARNT + GLANCE, GLANCE):
+        if now > moment + within + (REVISED if first else 0.0):
+            break
+        for alarm in state.alarms if (state := following.follow(part, now)) else ():
+            if first and alarm.revises == first.time:
+                return first.time - moment, first.cause, alarm.cause
+            first = first or alarm
+    return (first.time - moment, first.cause, first.cause) if first else None
 
 
-def _of_pose(flown: ChangingFlight, within: float) -> tuple[float, str] | None:
+def _of_pose(flown: ChangingFlight, within: float) -> tuple[float, str, str] | None:
     """The same of what the pose raises by itself, sample by sample."""
     room, moment = flown.room, flown.scenario.time
     growing = GrowingFlight(flown.flight.card, origin=0)
@@ -134,34 +141,38 @@ def _of_pose(flown: ChangingFlight, within: float) -> tuple[float, str] | None:
     for sample in sorted(samples, key=lambda one: one.received):
         growing.add(sample)
         for alarm in growing.alarms():
-            return sample.received / 1e9 - moment, alarm.cause
+            return sample.received / 1e9 - moment, alarm.cause, alarm.cause
     return None
 
 
 def _knowing(
     following: Following, base: ChangingFlight, flown: ChangingFlight, moment: float, within: float
-) -> tuple[float | None, float]:
-    """When a test that knows the course of the change would have sounded, and what the change was worth by then."""
+) -> tuple[float | None, float | None]:
+    """When a test that knows the course of the change would have sounded, once a second and at every glance."""
+    end = float(np.floor(moment + within))
+    seen = list(zip(*(_innovations(following, until(one.flight, end)) for one in (flown, base)), strict=True))
+    first, second = (_sounds(seen, moment, end, every) for every in (EVERY, GLANCE))
+    return first, second
+
+
+def _sounds(seen: Sequence[tuple[Scores, Scores]], moment: float, end: float, every: float) -> float | None:
+    """The same for one time between looks [s], from the innovations with and without the change."""
     from scipy.special import ndtri
 
-    end = float(np.floor(moment + within))
-    with_change, without = (_innovations(following, until(one.flight, end)) for one in (flown, base))
-    threshold = -float(ndtri(FALSE_ALARMS_PER_HOUR * EVERY / 3600.0 / len(WINDOWS)))
-    statistic, looks = 0.0, np.arange(np.ceil(moment), end + 0.5, EVERY)
-    for now in looks:
+    threshold = -float(ndtri(FALSE_ALARMS_PER_HOUR * every / 3600.0 / len(WINDOWS)))
+    for now in np.arange(np.ceil(moment / every) * every, end + every / 2, every):
         product = power = 0.0
-        for seen, unchanged in zip(with_change, without, strict=True):
-            at, last = (int(np.searchsorted(seen.time, t)) for t in (moment, now))
-            shape = seen.innovation[at:last] - unchanged.innovation[at:last]
+        for changed, unchanged in seen:
+            at, last = (int(np.searchsorted(changed.time, t)) for t in (moment, now))
+            shape = changed.innovation[at:last] - unchanged.innovation[at:last]
             if not shape.any():
                 continue
             usual = _usual(unchanged.innovation[:at], shape, unchanged)
-            product += float(shape @ seen.innovation[at:last]) / usual
+            product += float(shape @ changed.innovation[at:last]) / usual
             power += float(shape @ shape) / usual
-        statistic = product / np.sqrt(power) if power > 0 else 0.0
-        if statistic > threshold:
-            return float(now - moment), statistic
-    return None, statistic
+        if power > 0 and product / np.sqrt(power) > threshold:
+            return float(now - moment)
+    return None
 
 
 def _usual(before: np.ndarray, shape: np.ndarray, scores: Scores) -> float:
@@ -192,26 +203,34 @@ def scenarios(flights: int, gusts: Sequence[float], first: int) -> list[tuple[in
 def report(told: Sequence[Told]) -> None:
     """Prints what became of each change, by gusts, and what was taken for what."""
     times = f"{'median':>7} {'95 %':>6}"
-    print(f"{'change':10}{'gusts':>6} {'found':>10} {'named':>6} {times} {'knowing':>10} {times} {'ratio':>6}")
+    tests = f"{'knowing':>10} {times} {'ratio':>6} {'as often':>10} {times} {'ratio':>6}"
+    print(f"{'change':10}{'gusts':>6} {'found':>10} {'named':>6} {times} {tests}")
     for cause in dict.fromkeys(one.cause for one in told):
         for gusts in sorted({one.gusts for one in told}):
             some = [one for one in told if one.cause == cause and one.gusts == gusts]
-            found = np.array([np.inf if one.found is None else one.found for one in some])
+            found = _or_never([one.found for one in some])
             named = sum(one.named == TRUE[cause] for one in some)
             line = f"{cause:10}{gusts:6g} {np.isfinite(found).sum():4} of {len(some):2} {named:6} {_times(found)}"
-            if cause not in OF_THE_POSE:
-                knowing = np.array([np.inf if one.knowing is None else one.knowing for one in some])
-                both = np.isfinite(found) & np.isfinite(knowing)
-                ratio = f"{np.median(found[both]) / np.median(knowing[both]):6.2f}" if both.any() else f"{'-':>6}"
-                line += f" {np.isfinite(knowing).sum():4} of {len(some):2} {_times(knowing)} {ratio}"
+            for known in ([one.knowing for one in some], [one.often for one in some]):
+                if cause not in OF_THE_POSE:
+                    knowing = _or_never(known)
+                    both = np.isfinite(found) & np.isfinite(knowing)
+                    ratio = f"{np.median(found[both]) / np.median(knowing[both]):6.2f}" if both.any() else f"{'-':>6}"
+                    line += f" {np.isfinite(knowing).sum():4} of {len(some):2} {_times(knowing)} {ratio}"
             print(line, flush=True)
     names = ("payload", "thrust", "limits", "delay", "pose_jumped", "pose_frozen", "other", None)
-    print(f"\n{'is named':10}" + "".join(f"{name or 'nothing':>12}" for name in names))
-    for cause in dict.fromkeys(one.cause for one in told):
-        count = Counter(one.named for one in told if one.cause == cause)
-        print(f"{cause:10}" + "".join(f"{count[name]:12}" for name in names))
+    for when in ("first", "named"):
+        title = "at once" if when == "first" else "in the end"
+        print(f"\n{title:10}" + "".join(f"{name or 'nothing':>12}" for name in names))
+        for cause in dict.fromkeys(one.cause for one in told):
+            count = Counter(getattr(one, when) for one in told if one.cause == cause)
+            print(f"{cause:10}" + "".join(f"{count[name]:12}" for name in names))
     seen = {(one.seed, one.vehicle, one.loop, one.gusts, one.cause == "limits"): one.early for one in told}
     print(f"\n{sum(seen.values())} false alarms before, in {len(seen) * LEARNT / 3600:.2f} h", flush=True)
+
+
+def _or_never(times: Sequence[float | None]) -> np.ndarray:
+    return np.array([np.inf if one is None else one for one in times])
 
 
 def _times(values: np.ndarray) -> str:

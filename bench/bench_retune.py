@@ -176,7 +176,7 @@ class Follower:
     def _looked(self, state: Tracked) -> dict[str, AxisLaw]:
         for alarm in state.alarms:
             print(f"    {state.time:5.1f} s alarm {', '.join(alarm.axes)}: {alarm.cause}", flush=True)
-            self._retuning.changed(alarm.axes, alarm.cause)
+            self._retuning.changed(alarm.axes, alarm.cause, alarm.revises is not None)
         words = ("known", "not_identifiable")
         told = [[axis for axis, one in state.axes.items() if one.knowledge == word] for word in words]
         found = self._retuning.look(state.model, *told) if state.model else None

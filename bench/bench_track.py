@@ -10,6 +10,7 @@ default under `first_order_delay`, the law that these vehicles obey.
   vehicle's.
 - known: time until an axis is `known`, over the time at which the Cramer-Rao bound of the flight so far, taken as an
   interval, would first have been `known`: median.
+- taken back: share of the axes that were `known` of which a later look says that they are not.
 - landing: estimate of the last step before landing less that of the batch fit, in standard errors of the batch fit.
 - cost: processor seconds of tracking per second of flight, steps and refits separately.
 """
@@ -41,6 +42,8 @@ class Told:
     Attributes:
         held: Moment (the last is landing) to whether each interval held the truth: this flight's, and the vehicle's.
         known: Time until known over the earliest possible, of each axis that both reached.
+        ever: Number of axes that were ever known.
+        back: Number of those that were taken back.
         off: Last step less the batch fit, in standard errors.
         cost: Processor seconds a second of flight.
         steps: Of the looks without a refit, median [s].
@@ -49,6 +52,8 @@ class Told:
 
     held: dict[float, list[tuple[bool, bool]]]
     known: list[float]
+    ever: int
+    back: int
     off: list[float]
     cost: float
     steps: float
@@ -59,7 +64,7 @@ def told_of(job: tuple[Design, str]) -> Told:
     """Flies a design and tracks it."""
     design, structure = job
     flight = flown(design)
-    following, held, first, looks = Following(structure), {}, {}, []
+    following, held, first, looks, back = Following(structure), {}, {}, [], set()
     begun, alarms, state = time.process_time(), 0, None
     for part, now in growing(flight, following.next_look):
         before = time.process_time()
@@ -69,6 +74,8 @@ def told_of(job: tuple[Design, str]) -> Told:
         for axis, known in state.axes.items():
             if known.knowledge == "known":
                 first.setdefault(axis, now)
+            elif "taken back" in known.state:
+                back.add(axis)
         if any(abs(now - moment) < 1e-6 for moment in MOMENTS):
             held[now] = _held(design, state)
     cost = (time.process_time() - begun) / flight.duration
@@ -84,7 +91,8 @@ def told_of(job: tuple[Design, str]) -> Told:
     ]
     possible = _possible(design, flight)
     known = [first[axis] / possible[axis] for axis in flight.axes if axis in first and axis in possible]
-    return Told(held, known, off, cost, float(np.median(looks)), alarms)
+    back |= {axis for axis, one in state.axes.items() if "taken back" in one.state}
+    return Told(held, known, len(first), len(back), off, cost, float(np.median(looks)), alarms)
 
 
 def _held(design: Design, state) -> list[tuple[bool, bool]]:
@@ -128,6 +136,8 @@ def report(name: str, told: Sequence[Told]) -> None:
             flight, vehicle = 100 * np.mean(held, axis=0)
             print(f"  {when:11} {flight:5.1f} % (the vehicle's {vehicle:.1f} %) of {len(held)} hold the truth")
     known, off = (np.concatenate([getattr(each, what) for each in told]) for what in ("known", "off"))
+    ever, back = (sum(getattr(each, what) for each in told) for what in ("ever", "back"))
+    print(f"  {back} of {ever} axes that were known are taken back: {100 * back / ever:.1f} %")
     size = np.abs(off)
     print(f"  known after {np.median(known):.2f} times the earliest time (median of {known.size} axes)")
     print(

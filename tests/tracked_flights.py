@@ -16,7 +16,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.tracked import Alarm, Track
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.simulation.paper_vehicle import Truth
-from rotorfit.tracking.following import Following
+from rotorfit.tracking.following import GLANCE, REVISED, Following
 from rotorfit.tracking.replayed import growing, tracked
 
 LAW = "first_order_delay"
@@ -72,14 +72,16 @@ def changing() -> Any:
 
 @functools.cache
 def alarms(cause: str, vehicle: str, seed: int = 1, at: float = 25.0, most: float = 10.0) -> Sequence[Alarm]:
-    """The alarms of a flight of the room, looked at from 8 s before the change up to the first or `most` seconds on."""
+    """The first alarm of a flight of the room and its revision, from 8 s before the change to `most` seconds after."""
     room = changing()
     flight = room.changing_flight(seed, room.Scenario(cause, vehicle, gusts=0.3, duration=at + most, time=at)).flight
-    following = Following(LAW)
-    for part, now in growing(flight, at - 8.0):
-        if found := following.look(part, now).alarms:
-            return found
-    return ()
+    following, found = Following(LAW), list[Alarm]()
+    for part, now in growing(flight, at - 8.0, GLANCE):
+        state = following.follow(part, now)
+        found += state.alarms if state else ()
+        if found and now > found[0].time + REVISED - 0.5 * GLANCE:
+            break
+    return found
 
 
 @functools.cache
@@ -87,4 +89,5 @@ def of_a_pilot(seed: int, duration: float) -> Sequence[Alarm]:
     """All alarms of a faultless flight whose vehicle brakes when its pilot lets go."""
     flight = changing().piloted_flight(seed, 0.0, duration)
     following = Following(LAW)
-    return tuple(a for part, now in growing(flight, following.next_look) for a in following.look(part, now).alarms)
+    told = (following.follow(part, now) for part, now in growing(flight, following.next_look, GLANCE))
+    return tuple(alarm for state in told if state for alarm in state.alarms)

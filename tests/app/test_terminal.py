@@ -146,3 +146,13 @@ def test_an_alarm_gives_times_as_differences_and_no_instant_to_what_was_so_from_
     out = capsys.readouterr().out
     assert "z total lag by -0.206 to -0.195; z steady gain times 0.8 to 0.9." in out
     assert "since" not in out
+
+
+def test_a_revised_alarm_cannot_be_taken_for_a_new_one(capsys: pytest.CaptureFixture[str]) -> None:
+    first = Alarm(6.25, ("z",), "payload", (6.0, 6.2), {}, 0.9, 1e-9, "because")
+    show(alarm_view(first))
+    show(alarm_view(replace(first, time=7.25, axes=("z", "yaw"), cause="thrust", revises=6.25)))
+
+    heads = [line for line in capsys.readouterr().out.splitlines() if "since" in line]
+    assert heads[0].startswith("    6.2 s  ALARM z: payload, since")
+    assert heads[1].startswith("    7.2 s  REVISED z, yaw: thrust, alarm of 6.25 s, since")

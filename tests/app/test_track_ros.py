@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -170,6 +171,18 @@ def test_an_alarm_is_an_error_for_a_while_and_a_warning_from_then_on(graph: Grap
     assert [level for level, _ in seen] == [Status.OK, Status.ERROR, Status.ERROR, Status.WARN]
     assert seen[-1][1] == "changed at 1.0 to 2.0 s: payload on x"
     assert len(graph.on("/rotorfit/alarm")) == 1
+
+
+def test_a_revised_alarm_takes_the_place_of_the_first_and_is_no_new_error(graph: Graph) -> None:
+    topics, revised = (
+        RosTopics("ros2", "sim"),
+        replace(ALARM, time=ALARM.time + 1.0, cause="thrust", revises=ALARM.time),
+    )
+    for state in (a_state(3.0, ALARM), a_state(4.0, revised), a_state(ALARM.time + ALARMING + 0.5)):
+        topics.state(state, NOW)
+
+    assert graph.levels()["rotorfit: vehicle"] == (Status.WARN, "changed at 1.0 to 2.0 s: thrust on x")
+    assert [json.loads(one.data)["revises"] for one in graph.on("/rotorfit/alarm")] == [None, ALARM.time]
 
 
 @pytest.mark.parametrize("where", ["ros3", "ros2:rotorfit", "ros2:/", "ros2:/a b", "ros1:/cmd/", ""])

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,14 +80,14 @@ def test_a_state_has_the_promised_keys_and_null_where_nothing_is_known(told: lis
     assert {last["yaw"][name] for name in QUANTITIES} == {None}
 
 
-def faked(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> None:
-    """A tracker that raises one alarm, whatever flies."""
+def faked(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, *revised: Alarm) -> None:
+    """A tracker that raises one alarm, and perhaps revises it, whatever flies."""
 
     def tracked(flight: Flight, _structure: str, _rate: float, on_state: Any, _earlier: Any, _stopped: Any) -> Track:
-        states = Tracked(5.0, {}), Tracked(6.0, {}, (alarm,), 1), Tracked(7.0, {}, (), 1)
+        states = Tracked(5.0, {}), Tracked(6.0, {}, (alarm,), 1), Tracked(7.0, {}, revised, 1)
         for state in states:
             on_state(state)
-        return Track(states, (Regime(0.0, 5.5, None), Regime(5.5, flight.duration, None, alarm)))
+        return Track(states, (Regime(0.0, 5.5, None), Regime(5.5, flight.duration, None, (alarm, *revised)[-1])))
 
     monkeypatch.setattr(replayed, "tracked", tracked)
 
@@ -108,6 +109,22 @@ def test_an_alarm_comes_before_the_state_that_knows_of_it(
     assert told[-1]["models"] == []  # both were too short for one
     assert told[-1]["report"] == str(page)
     assert "6.0 s: limit or mode" in page.read_text(encoding="utf-8")
+
+
+def test_a_revised_alarm_is_one_alarm(
+    log: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = Alarm(6.0, ("z",), "other", (5.2, 5.8), {}, 0.5, 1e-8, "because")
+    faked(monkeypatch, first, replace(first, time=7.0, axes=("x", "y"), cause="limits", revises=6.0))
+    page = tmp_path / "track.html"
+    told = lines(*log, "--report", str(page))
+    html = page.read_text(encoding="utf-8")
+
+    assert [line["type"] for line in told] == ["state", "alarm", "state", "alarm", "state", "end"]
+    assert [line["revises"] for line in told if line["type"] == "alarm"] == [None, 6.0]
+    assert told[-1]["alarms"] == 1
+    assert html.count('<span class="badge">alarm</span>') == 1
+    assert "one alarm, at 6 s: limit or mode." in html
 
 
 def test_people_get_words_a_model_and_a_page(log: tuple[str, ...], tmp_path: Path) -> None:

@@ -76,6 +76,14 @@ def test_after_a_change_what_was_fitted_before_says_nothing() -> None:
     assert found.why["x"].startswith("the vehicle has changed")
 
 
+def test_a_revised_change_is_as_if_it_had_been_named_so_at_once() -> None:
+    retuning = Retuning(flown=flown(0.02), before=of_x(error=0.02))
+    retuning.changed(["x"], "other")
+    retuning.changed(["x"], "payload", revised=True)
+
+    assert looks(retuning, *(of_x(error=0.2) for _ in range(3))) == []
+
+
 def test_fits_that_still_learn_have_not_settled() -> None:
     assert looks(Retuning(), of_x(error=0.3), of_x(error=0.15), of_x(error=0.07)) == []
     g, b, tau = VEHICLE["x"]

@@ -26,7 +26,9 @@ def named(moved: Mapping[str, float], sharp: float = 400.0) -> Diagnosis:
         missing = {name: np.empty((0, 0)) for name in Scores.__dataclass_fields__ if name not in fields}
         scores = Scores(**fields, **missing)  # type: ignore[arg-type]
         precision = sharp * np.eye(len(names))
-        parts.append((scores, Contrast(10.0, shift, precision, float(shift @ precision @ shift), len(names), 1e-9)))
+        parts.append(
+            (scores, Contrast(10.0, shift, precision, float(shift @ precision @ shift), len(names), 1e-9, 40.0))
+        )
     return diagnosis(parts)
 
 
@@ -64,3 +66,4 @@ def test_an_alarm_as_json_has_the_promised_keys() -> None:
     assert list(told)[:7] == ["type", "time", "axes", "cause", "since", "change", "confidence"]
     assert told["type"] == "alarm"
     assert told["change"] == {"x.input": [0.78, 0.86]}
+    assert told["revises"] is None

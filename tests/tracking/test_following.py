@@ -4,9 +4,13 @@ from dataclasses import replace
 
 import pytest
 
+from flights import flown, steps
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.model import Interval
-from rotorfit.tracking.following import Following
+from rotorfit.core.tracked import Alarm, Tracked, revised
+from rotorfit.simulation.paper_vehicle import Controller, Truth
+from rotorfit.tracking import following as following_module
+from rotorfit.tracking.following import Following, _Before
 from rotorfit.tracking.refits import GroupEstimate, axis_report, read_backwards, refitted, renewed, stepped
 from rotorfit.tracking.replayed import growing, until
 from tracked_flights import LAW, known_flight
@@ -103,3 +107,61 @@ def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monke
 
     late = [value for now, value in told if now > 13.0]
     assert len(set(late)) >= 3
+
+
+def test_an_axis_that_is_no_longer_known_says_until_when_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where a refit finds another optimum as good as the one that was known."""
+    told = following_module._knowledge
+
+    def doubted(flight, axis, now, *fitted):  # type: ignore[no-untyped-def]
+        back = axis == "z" and now > 20.0
+        return ("not_identifiable", "not identifiable") if back else told(flight, axis, now, *fitted)
+
+    monkeypatch.setattr(following_module, "_knowledge", doubted)
+    following, states = Following(LAW), dict[float, str]()
+    for part, now in growing(until(known_flight(), 22.5), following.next_look):
+        states[now] = following.look(part, now).axes["z"].state
+
+    assert states[20.0] == "known"
+    assert states[21.0] == states[22.0] == "not identifiable (known until 20 s, taken back)"
+
+
+def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> None:
+    flight, following = known_flight(), Following(LAW)
+    for part, now in growing(until(flight, 12.5), following.next_look):
+        state = following.look(part, now)
+    before = _Before(following._since, following._changed, following._bounds, following._groups)
+    first = Alarm(12.5, ("z", "yaw"), "thrust", (11.0, 12.0), {}, 0.9, 1e-9, "because")
+    following._begin(first, 11.5, before)
+    learning = following.look(until(flight, 13.0), 13.0).axes
+    following._begin(replace(first, time=13.5, axes=("z",), cause="payload", revises=12.5), 11.6, before)
+    again = following.look(until(flight, 14.0), 14.0)
+
+    assert state.axes["yaw"].knowledge == "known"
+    assert learning["yaw"].state == learning["z"].state == "changed at 11.5 s, learning"
+    assert again.axes["yaw"].state == "known"
+    assert again.axes["z"].state == "changed at 11.6 s, learning"
+    assert (again.regime, again.regime_start) == (1, 11.6)
+
+
+def test_a_revision_takes_the_place_of_the_alarm_of_its_time() -> None:
+    first = Alarm(12.5, ("z",), "payload", (11.0, 12.0), {}, 0.9, 1e-9, "because")
+    jump, other = replace(first, cause="pose_jumped"), replace(first, time=20.0)
+    again = replace(first, time=13.5, revises=12.5)
+
+    assert revised([jump, first, other, again]) == (jump, again, other)
+
+
+def test_an_axis_that_is_only_held_is_given_no_numbers_before_the_fit_can_tell() -> None:
+    """z is excited, x and y are held by a position controller; a fit of 8 s takes its law for a vehicle."""
+    still = replace(Truth(), wind_sigma=(0.05,) * 4)
+    flight = flown(still, steps(("z",), 0.2), 8.5, seed=1, controller=Controller())
+    following, states = Following(LAW), list[Tracked]()
+    for part, now in growing(flight, following.next_look):
+        states.append(following.look(part, now))
+
+    assert refitted(flight, ("y",), LAW, 8.5).estimates
+    for axis in ("x", "y"):
+        assert states[-1].axes[axis].state == "learning (so far its commands only answer its motion)"
+        assert all(value is None for state in states for value in state.axes[axis].values.values())
+    assert states[-1].axes["z"].state == "known"

@@ -120,15 +120,21 @@ class Retuning:
         self._before = {axis: first_order(before, axis) for axis, one in known.items() if before and one.predictor}
         self._carried: dict[str, tuple[str, ...]] = dict.fromkeys(AXES, COEFFICIENTS)
         self._anew: set[str] = set()
+        self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew)
         self.kept: dict[str, str] = {}
 
-    def changed(self, axes: Collection[str], cause: str) -> None:
+    def changed(self, axes: Collection[str], cause: str, revised: bool = False) -> None:
         """Notes that the vehicle has changed.
 
         Args:
             axes: Names of the axes that changed.
             cause: Cause of the alarm; what it leaves unchanged is still known.
+            revised: Whether the last change is meant, its axes and cause now better known.
         """
+        if revised:
+            self._fits, self._before, self._carried, self._anew = self._unchanged
+        else:
+            self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew)
         for axis in axes:
             last = self._fits.pop(axis, None)
             if last:

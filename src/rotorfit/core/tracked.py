@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -187,10 +187,10 @@ class Air:
 
 @dataclass(frozen=True)
 class Alarm:
-    """A detected change of the vehicle, or of what measures it.
+    """A detected change of the vehicle, or of what measures it; or what more data tell of one that has been raised.
 
     Attributes:
-        time: When it was raised [s].
+        time: When it was raised, or revised [s].
         axes: The axes that changed.
         cause: Probable cause.
         since: 95 % interval of the time of the change [s].
@@ -199,6 +199,7 @@ class Alarm:
         confidence: Share of the evidence for this cause among all that were compared.
         p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
         why: Why this cause and not the others, one sentence.
+        revises: Time of the alarm that it takes the place of [s]; None for a new alarm.
     """
 
     time: float
@@ -209,6 +210,18 @@ class Alarm:
     confidence: float
     p_value: float
     why: str
+    revises: float | None = None
+
+    @property
+    def raised(self) -> float:
+        """When it was raised first [s]."""
+        return self.time if self.revises is None else self.revises
+
+    @property
+    def title(self) -> str:
+        """Axes and cause in words, and whether the alarm is new."""
+        named = f"{', '.join(self.axes)}: {self.cause}"
+        return f"ALARM {named}" if self.revises is None else f"REVISED {named}, alarm of {self.revises:.2f} s"
 
     def to_mapping(self) -> dict[str, Any]:
         """The alarm as a line of JSON holds it."""
@@ -222,7 +235,17 @@ class Alarm:
             "confidence": self.confidence,
             "p_value": self.p_value,
             "why": self.why,
+            "revises": self.revises,
         }
+
+
+def revised(alarms: Iterable[Alarm]) -> tuple[Alarm, ...]:
+    """Alarms in order, a revision in the place of the alarm that it revises."""
+    out: list[Alarm] = []
+    for alarm in alarms:
+        place = next((n for n in reversed(range(len(out))) if out[n].time == alarm.revises), len(out))
+        out[place : place + 1] = [alarm]
+    return tuple(out)
 
 
 def alarm_from_mapping(mapping: Mapping[str, Any]) -> Alarm:
@@ -256,7 +279,7 @@ class Tracked:
     Attributes:
         time: In seconds of the flight.
         axes: Axis name to its state.
-        alarms: Alarms raised since the previous state.
+        alarms: Alarms raised or revised since the previous state.
         regime: Number of the regime, from 0.
         regime_start: When it began [s].
         air: The mean wind; None where it is unknown, or where damping is not drag.
@@ -327,7 +350,7 @@ class Track:
     """A whole tracked flight.
 
     Attributes:
-        states: One per second, in order; the last is at the end, after a final fit.
+        states: One per second and one per alarm between, in order; the last is at the end, after a final fit.
         regimes: In order, each with its model.
     """
 
@@ -336,8 +359,8 @@ class Track:
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """All alarms, in order."""
-        return tuple(alarm for state in self.states for alarm in state.alarms)
+        """All alarms, in order, each as it was revised last."""
+        return revised(alarm for state in self.states for alarm in state.alarms)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -373,7 +396,7 @@ class Track:
             if one.values.get(name) is not None
         ]
         raised = [
-            (f"{a.time:.1f} s", ", ".join(a.axes), a.cause, f"{a.since[0]:.1f} to {a.since[1]:.1f} s")
+            (f"{a.raised:.1f} s", ", ".join(a.axes), a.cause, f"{a.since[0]:.1f} to {a.since[1]:.1f} s")
             for a in self.alarms
         ]
         alarms = html_table("Alarms", ("raised", "axes", "cause", "since"), raised) if raised else ""
@@ -423,7 +446,7 @@ class Track:
         """
         units = {"damping": "1/s", "delay": "s"}
         grey = [(one.start, one.end) for one in self.regimes[1::2]]
-        alarms = [alarm.time for alarm in self.alarms]
+        alarms = [alarm.raised for alarm in self.alarms]
         panels = []
         for name in TIMELINE:
             for axis in self.axes:

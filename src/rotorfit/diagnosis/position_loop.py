@@ -61,13 +61,14 @@ class Law:
     explained: float
 
 
-def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> Law | None:
+def restoring_law(flight: Flight, axis: str, motion: Motion | None = None, least: int = LEAST) -> Law | None:
     """The law of a position controller, if it is the whole command of an axis; else None.
 
     Args:
         flight: Commands in the heading frame.
         axis: `x`, `y`, `z` or `yaw`.
         motion: Motion of the flight; computed if not given.
+        least: Least number of averages.
     """
     k = AXES.index(axis)
     if axis not in flight.axes or flight.velocity_only or not np.ptp(flight.command[:, k]) > 0:
@@ -76,7 +77,7 @@ def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> La
     if not motion.time.size:
         return None
     begin = _begins(flight, motion)
-    if begin.size < LEAST:
+    if begin.size < least:
         return None
     command = _integral(flight.command_time, flight.command[:, k : k + 1])
     u = _averages(flight.command_time, command, begin)[:, 0]
@@ -143,8 +144,14 @@ def _fitted(u: Array, velocity: Array, place: Array) -> tuple[float, float, Arra
     return left[1], left[0], np.asarray(solution[:2], np.float64)
 
 
-def restored_axes(flights: Sequence[Flight], axes: Sequence[str]) -> tuple[str, ...]:
-    """The axes, of those given, that each flight which commands them only holds by such a law."""
+def restored_axes(flights: Sequence[Flight], axes: Sequence[str], least: int = LEAST) -> tuple[str, ...]:
+    """The axes, of those given, that each flight which commands them only holds by such a law.
+
+    Args:
+        flights: The flights.
+        axes: Names of axes.
+        least: Least number of averages; where there are fewer, an axis is not held.
+    """
     motions = [cache(partial(motion_from_flight, flight)) for flight in flights]
 
     def held(axis: str) -> bool:
@@ -154,7 +161,9 @@ def restored_axes(flights: Sequence[Flight], axes: Sequence[str]) -> tuple[str, 
             for flight, motion in zip(flights, motions, strict=True)
             if axis in flight.axes and np.ptp(flight.command[:, k]) > 0
         ]
-        return bool(moving) and all(restoring_law(flight, axis, motion()) is not None for flight, motion in moving)
+        return bool(moving) and all(
+            restoring_law(flight, axis, motion(), least) is not None for flight, motion in moving
+        )
 
     return tuple(axis for axis in axes if held(axis))
 

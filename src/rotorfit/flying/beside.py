@@ -44,7 +44,7 @@ class Beside:
         time: That of the last look, in seconds of the flight.
         words: The state of each axis then, in words; empty before the first look.
         alarm: Axes and cause of the last alarm; empty before any.
-        told: All alarms and gains so far, in words.
+        told: All alarms and gains so far, in words, each alarm as it was revised last.
         summary: What the other process said at its end; empty if it was ended before.
         lost: Number of samples that the other process could not take in time.
     """
@@ -109,10 +109,11 @@ class Beside:
         for line in self._process.stdout:
             told = json.loads(line)
             self.time, self.words, self.summary = told["time"], told["words"], told["summary"]
-            for text in (*told["alarms"], *told["gains"]):
-                self.told.append(text)
+            for text, revised in (*told["alarms"], *((gains, None) for gains in told["gains"])):
+                place = self.told.index(revised) if revised in self.told else len(self.told)
+                self.told[place : place + 1] = [text]
                 self._news.append(text)
-            self.alarm = title_of(told["alarms"][-1]) if told["alarms"] else self.alarm
+            self.alarm = title_of(told["alarms"][-1][0]) if told["alarms"] else self.alarm
 
 
 def title_of(alarm: str) -> str:

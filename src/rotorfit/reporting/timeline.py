@@ -131,8 +131,8 @@ def _headline(track: Track) -> str:
     if not alarms:
         return f"{first}; no alarm."
     if len(alarms) == 1:
-        return f"{first}; one alarm, at {alarms[0].time:.0f} s: {CAUSES[alarms[0].cause]}."
-    return f"{first}; {len(alarms)} alarms, the last at {alarms[-1].time:.0f} s: {CAUSES[alarms[-1].cause]}."
+        return f"{first}; one alarm, at {alarms[0].raised:.0f} s: {CAUSES[alarms[0].cause]}."
+    return f"{first}; {len(alarms)} alarms, the last at {alarms[-1].raised:.0f} s: {CAUSES[alarms[-1].cause]}."
 
 
 def _now(name: str, axis: TrackedAxis) -> AxisNow:
@@ -255,7 +255,7 @@ def _chart(track: Track, axis: str, what: str) -> Chart | None:
         y_range=shown,
         areas=(Area("95 % interval", line.low[keep], line.high[keep]),),
         shaded=tuple((one.start, one.end) for one in track.regimes[1::2]),
-        moments=tuple(alarm.time for alarm in track.alarms),
+        moments=tuple(alarm.raised for alarm in track.alarms),
     )
 
 
@@ -282,7 +282,7 @@ def _series(panels: FlightPanels) -> dict[str, Any]:
 def raised(alarm: Alarm) -> Raised:
     """An alarm in words."""
     return Raised(
-        f"{alarm.time:.1f} s: {CAUSES[alarm.cause]}",
+        f"{alarm.raised:.1f} s: {CAUSES[alarm.cause]}",
         and_list(alarm.axes),
         f"{alarm.since[0]:.1f} to {alarm.since[1]:.1f} s",
         _changes(alarm.change),

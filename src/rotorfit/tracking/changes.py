@@ -24,8 +24,8 @@ Biometrika 73 (1986), pp. 13-22 (variance from the sums of scores).
 
 import functools
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,9 +56,9 @@ RARE, RARE_OF_NORMAL = 0.99, 6.63
 """The variance of jolts is also taken from the 99 % quantile of their squares so far, divided by that of a squared
 standard normal variable (the second number): air and poses have more outliers than a normal distribution."""
 
-BEFORE, CALM_BEFORE, CALM_AFTER = 5.0, 1.25, 2.0
-"""Time before a change that is checked for calm [s]; largest mean squared innovation before and after the change, over
-that of the regime."""
+BEFORE, CALM_BEFORE, CALM_AFTER = 5.0, 3.0, 2.0
+"""Time before a change that is checked for calm [s]; largest excess of the mean squared innovation there over that of
+the regime, in standard errors; largest mean squared innovation after the change, over that of the regime."""
 
 SURE = 1e-12
 """p-value below which no calm is required after a change."""
@@ -81,6 +81,7 @@ class Contrast:
         statistic: Sum over the directions of T over the variance of the scores.
         directions: Number of directions.
         p_value: Probability of so large a statistic without a change.
+        freedom: Degrees of freedom of the variance of the scores.
     """
 
     since: float
@@ -89,12 +90,13 @@ class Contrast:
     statistic: float
     directions: int
     p_value: float
+    freedom: float
 
 
 def contrast(scores: Scores, since: float) -> Contrast | None:
     """The window from `since` [s] to the end, against the time before it, in all directions; None if undetermined."""
     compared = _compared(scores, since)
-    return _along(scores, compared, np.eye(len(scores.names))) if compared else None
+    return _along(scores, compared, np.eye(len(scores.names)), UNLIKELY) if compared else None
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,6 @@ class _Compared:
         at: Its first row.
         u, M: See the module, shapes (P,) and (P, P).
         noise: Mean squared innovation of the window after the shift, at least 1.
-        gust_likelihood: Log-likelihood of this strength of gusts without a change.
     """
 
     since: float
@@ -114,41 +115,47 @@ class _Compared:
     u: Array
     M: Array
     noise: float
-    gust_likelihood: float
 
 
-def _compared(scores: Scores, since: float) -> list[_Compared]:
-    """The comparison under each strength of gusts that the window may have; empty if either part is too short."""
+def _compared(scores: Scores, since: float) -> _Compared | None:
+    """The comparison under the likeliest strength of gusts in the window; None if either part is too short.
+
+    That is the likelihood of the window with coefficients, trims and start velocities of its own.
+    """
     at = int(np.searchsorted(scores.time, since))
     if at == scores.time.size or scores.chunks_before(at) < LEAST_CHUNKS:
-        return []
+        return None
     own, P, likelihoods = scores.rows[at:].T @ scores.rows[at:], len(scores.names), scores.gust_likelihood(since)
     G_r, s_r, _ = _projected(scores.products - own, P)
-    out, short = [], bool(scores.time[-1] - since < OWN_GUSTS)
-    first = scores.gusts if short or scores.jolts.size else 0
-    last = scores.gusts if short else len(scores.under_gusts)
+    pushed = bool(scores.jolts.size)
+    first = scores.gusts if pushed else 0
+    last = scores.gusts if pushed and scores.time[-1] - since < OWN_GUSTS else len(scores.under_gusts)
+    best, G_w, s_w, left = -np.inf, np.empty(0), np.empty(0), 0.0
     for each, likely in list(zip((scores, *scores.under_gusts), likelihoods, strict=False))[first : last + 1]:
-        G_w, s_w, left = _projected(each.rows[at:].T @ each.rows[at:], P)
-        share = G_w @ _inverse(G_w + G_r, 1e-15)
-        u, M = s_w - share @ (s_w + s_r), G_w - share @ G_w
-        noise = max(left / max(scores.time.size - at - u.size, 1), 1.0)
-        out.append(_Compared(since, at, u, 0.5 * (M + M.T), noise, float(likely)))
-    return out
+        products = each.rows[at:].T @ each.rows[at:]
+        G, s, rest = _projected(products, P)
+        likelihood = float(likely) + 0.5 * float(products[0, 0] - rest)
+        if likelihood > best:
+            best, G_w, s_w, left = likelihood, G, s, rest
+    share = G_w @ _inverse(G_w + G_r, 1e-15)
+    u, M = s_w - share @ (s_w + s_r), G_w - share @ G_w
+    return _Compared(since, at, u, 0.5 * (M + M.T), max(left / max(scores.time.size - at - u.size, 1), 1.0))
 
 
-def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contrast | None:
-    """The contrast within a subspace of the shifts, with a basis of shape (P, k); None if nothing is visible there.
+def _along(scores: Scores, one: _Compared, basis: Array, unlikely: float) -> Contrast | None:
+    """The contrast within a subspace of the shifts, with a basis of shape (P, k).
 
-    The strength of gusts is the one that maximises the likelihood of the window, shifts included.
+    None if nothing is visible there, or if the p-value exceeds `unlikely` even under white innovations.
     """
-    parts = [part for one in compared if (part := _inside(one, basis))]
-    if not parts:
+    inner = basis.T @ one.M @ basis
+    value, vector = np.linalg.eigh(inner) if len(inner) > 1 else (inner[0], np.eye(1))
+    keep = value > 1.0
+    if not keep.any():
         return None
-    likeliest = max(parts, key=lambda part: 2 * part[0].gust_likelihood + float((part[1] ** 2 / part[3]).sum()))
-    one, along, vector, value = likeliest
-    directions = value.size
+    value, vector = value[keep], basis @ vector[:, keep]
+    along, directions = one.u @ vector, value.size
     chunks = scores.chunks_before(one.at)
-    if _p_value(float((along**2 / value).sum()) / one.noise, directions, chunks) > UNLIKELY:
+    if _p_value(float((along**2 / value).sum()) / one.noise, directions, chunks) > unlikely:
         return None  # the true variance is never below that of white innovations
     excess, freedom = _excess(scores, one.at, vector)
     variance = one.noise * excess + value * (scores.doubt**2 @ vector**2)
@@ -161,16 +168,8 @@ def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contr
         statistic,
         directions,
         p_value,
+        freedom,
     )
-
-
-def _inside(compared: _Compared, basis: Array) -> tuple[_Compared, Array, Array, Array] | None:
-    """The comparison, its u along the informative directions of a subspace, those directions, and their information."""
-    inner = basis.T @ compared.M @ basis
-    value, vector = np.linalg.eigh(inner) if len(inner) > 1 else (inner[0], np.eye(1))
-    keep = value > 1.0
-    vector = basis @ vector[:, keep]
-    return (compared, compared.u @ vector, vector, value[keep]) if keep.any() else None
 
 
 def _excess(scores: Scores, at: int, along: Array) -> tuple[Array, float]:
@@ -224,26 +223,62 @@ def _inverse(products: Array, least: float) -> Array:
 
 def looked_for(scores: Scores) -> list[Contrast]:
     """The contrasts of all windows of at most half the regime, in all of `_bases`, and the likeliest jolt."""
+    return _looked_for(scores, _windows(scores))
+
+
+def _windows(scores: Scores) -> list[_Compared]:
+    """The comparisons of all windows of at most half the regime."""
     now, begin = float(scores.time[-1]), float(scores.time[0])
     windows = (now - w for w in WINDOWS if w < 0.5 * (now - begin))
-    compared = [one for since in windows if (one := _compared(scores, since))]
-    found = [each for one in compared for basis in _bases(scores.names) if (each := _along(scores, one, basis))]
+    return [one for since in windows if (one := _compared(scores, since))]
+
+
+def _looked_for(scores: Scores, windows: Sequence[_Compared]) -> list[Contrast]:
+    bases = _bases(scores.names)
+    found = [each for one in windows for basis in bases if (each := _along(scores, one, basis, UNLIKELY))]
     return [*found, *_jolted([scores]).values()]
 
 
 def looks(scores: Scores) -> int:
-    """Number of contrasts that a look at these scores tests, a second after the last."""
+    """Number of contrasts that a look at these scores tests."""
     return len(WINDOWS) * len(_bases(scores.names)) + _instants(scores)
 
 
 def looked_together(scored: Sequence[Scores]) -> tuple[dict[tuple[str, ...], list[Contrast]], int]:
-    """The contrasts of all likelihoods, simultaneous jolts of two axes included, and the number of tests of a look."""
-    looked = {scores.names: looked_for(scores) for scores in scored}
+    """The contrasts of all likelihoods, each by itself and together, and the number of tests of a look.
+
+    Together: simultaneous jolts of two axes, and one step of all delays.
+    """
+    windows = {scores.names: _windows(scores) for scores in scored}
+    looked = {scores.names: _looked_for(scores, windows[scores.names]) for scores in scored}
     pairs = list(itertools.combinations([scores for scores in scored if scores.jolts.size], 2))
     for pair in pairs:
         for names, one in _jolted(pair).items():
             looked[names].append(one)
-    return looked, sum(map(looks, scored)) + sum(_instants(pair[0]) for pair in pairs)
+    for names, one in _delayed(scored, windows):
+        looked[names].append(one)
+    count = sum(map(looks, scored)) + sum(_instants(pair[0]) for pair in pairs)
+    return looked, count + (len(WINDOWS) if len(scored) > 1 else 0)
+
+
+def _delayed(
+    scored: Sequence[Scores], windows: Mapping[tuple[str, ...], Sequence[_Compared]]
+) -> Iterator[tuple[tuple[str, ...], Contrast]]:
+    """For each window, the step of all delays by the same time, as a contrast of the likelihood that shows it best."""
+    for since in dict.fromkeys(one.since for each in windows.values() for one in each):
+        found = [
+            (scores.names, each)
+            for scores in scored
+            for one in windows[scores.names]
+            if one.since == since and (each := _along(scores, one, _alike(scores.names, "delay"), 1.0))
+        ]
+        if len(found) < 2:
+            continue
+        precision = np.array([each.precision.max() for _, each in found])
+        step = np.array([each.shift[np.argmax(np.abs(each.shift))] for _, each in found])
+        statistic = float((precision @ step) ** 2 / precision.sum())
+        names, best = max(found, key=lambda one: one[1].statistic)
+        yield names, replace(best, p_value=_p_value(statistic, 1, min(each.freedom for _, each in found)))
 
 
 def _instants(scores: Scores) -> int:
@@ -313,7 +348,7 @@ def _jolted(scored: Sequence[Scores]) -> dict[tuple[str, ...], Contrast]:
         trim = np.array([name.endswith(".trim") for name in scores.names])
         statistic = size**2 * power
         out[scores.names] = Contrast(
-            float(one.time[best]), trim * size, np.diag(trim * power), statistic, 1, p_value
+            float(one.time[best]), trim * size, np.diag(trim * power), statistic, 1, p_value, one.freedom
         )  # fmt: skip
     return out
 
@@ -330,10 +365,14 @@ def _matched(innovation: Array, h: Array, at: Indices) -> Array:
 @functools.cache
 def _bases(names: tuple[str, ...]) -> list[Array]:
     """Bases of the shifts: all directions; each trim that belongs to the vehicle; a common factor; a common delay."""
-    kind = np.array([name.split(".")[1] for name in names])
-    alone = [np.eye(kind.size)[:, [i]] for i in np.flatnonzero(kind == "trim")]
-    alike = [(kind == name)[:, None].astype(float) for name in ("input", "delay")]
-    return [np.eye(kind.size), *alone, *alike]
+    every = np.eye(len(names))
+    alone = [every[:, [i]] for i, name in enumerate(names) if name.endswith(".trim")]
+    return [every, *alone, _alike(names, "input"), _alike(names, "delay")]
+
+
+def _alike(names: Sequence[str], kind: str) -> Array:
+    """The direction in which one coefficient of each axis shifts by the same amount, shape (P, 1)."""
+    return np.array([[float(name.endswith(f".{kind}"))] for name in names])
 
 
 def calm(scores: Scores, since: float, p_value: float) -> bool:
@@ -347,29 +386,39 @@ def calm(scores: Scores, since: float, p_value: float) -> bool:
     usual = max(float(np.mean(e[time < since - BEFORE] ** 2)) if time[0] < since - BEFORE else 1.0, 1.0)
     before = e[(time >= since - BEFORE) & (time < since)]
     after, compared = e[time > since + FADES], _compared(scores, since)
-    left = min(
-        float(np.mean(after**2)) if after.size else np.inf,
-        min((one.noise for one in compared), default=np.inf),
-    )
+    left = min(float(np.mean(after**2)) if after.size else np.inf, compared.noise if compared else np.inf)
     return (
         before.size > 0
-        and float(np.mean(before**2)) < CALM_BEFORE * usual
+        and float(np.mean(before**2)) < (1 + CALM_BEFORE * np.sqrt(2 / before.size)) * usual
         and (left < CALM_AFTER * usual or p_value < SURE)
     )
 
 
 def at_once(scores: Scores, looked: Sequence[Contrast], since: float) -> Contrast | None:
-    """The most significant contrast of other axes at the time of a change: the window from then on, or one near it."""
-    near = [one for one in looked if abs(one.since - since) < TOGETHER]
+    """The most significant contrast of other axes at the time of a change: the window since, or a jolt near it."""
+    jolts = [one for one in looked if scores.jolts.size and one.directions == 1 and abs(one.since - since) < TOGETHER]
     window = contrast(scores, since)
-    return min((*near, *([window] if window else ())), key=lambda one: one.p_value, default=None)
+    return min((*jolts, *([window] if window else ())), key=_alone, default=None)
 
 
-def since_when(scores: Scores, found: Contrast) -> tuple[Contrast, tuple[float, float]]:
-    """The contrast at the likeliest time of a change, and the 95 % interval of that time [s]."""
+def _alone(one: Contrast) -> float:
+    """The p-value of a contrast by itself, also where it was found together with those of other axes."""
+    return _p_value(one.statistic, one.directions, one.freedom)
+
+
+def since_when(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> tuple[Contrast, tuple[float, float]]:
+    """The contrast at the likeliest time of a change, and the 95 % interval of that time [s].
+
+    Args:
+        scores: Those of the likelihood that shows the change.
+        found: The contrast that found it.
+        looked: The contrasts of the present look.
+    """
     now, begin = float(scores.time[-1]), float(scores.time[0])
     low = max(found.since - WINDOWS[-1] / 4, begin)
     tried = [one for t in np.arange(low, now - STEP, STEP) if (one := contrast(scores, float(t)))]
-    best = max((*tried, found), key=lambda one: one.statistic - 2 * one.directions)
+    again = [one for one in looked if abs(one.since - found.since) < TOGETHER]
+    long = [one for one in tried if one.since < now - WINDOWS[0] + STEP]  # a shorter window takes one shift for another
+    best = max((*long, *again, found), key=lambda one: one.statistic - 2 * one.directions)
     near = [one.since for one in (*tried, best) if one.statistic >= best.statistic - DROP]
     return best, (min(near) - STEP / 2, min(max(near) + STEP / 2, now))

@@ -1,7 +1,11 @@
 """The estimates and the regimes of a growing flight, updated by a look once a second.
 
 A look takes an estimation step or a refit for each group of axes (`refits`), tests the last seconds against the rest of
-the regime (`changes`), and assembles the state in report and numbers.
+the regime (`changes`), and assembles the state in report and numbers. Between looks, glances only test.
+
+An alarm is raised by the look or glance that finds a change, with the cause that is probable by then. It begins a new
+regime. A second later the cause is named again, from the estimates before the change and more data, and the alarm is
+revised: its regime is then as if it had been raised like that.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,6 +20,7 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
+from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
@@ -24,7 +29,7 @@ from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts, late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
-from rotorfit.tracking.changes import SURE, Contrast, at_once, calm, looked_for, looked_together, since_when
+from rotorfit.tracking.changes import Contrast, at_once, calm, looked_for, looked_together, since_when
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
 from rotorfit.tracking.refits import (
@@ -45,20 +50,26 @@ from rotorfit.tracking.refits import (
 from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
 from rotorfit.tracking.wind_error import coefficient_error
 
-EVERY = 1.0
-"""Time between looks [s]."""
+EVERY, GLANCE = 1.0, 0.25
+"""Time between looks, and between glances [s]."""
+
+REVISED = 1.0
+"""Time from an alarm to its revision [s]. A change in air that is not calm waits as long for its alarm."""
 
 FALSE_ALARMS_PER_HOUR = 0.1
 """Promised rate of false alarms by default [1/h]."""
-
-PLAIN = 0.99
-"""Share of the evidence for a cause and its axes from which the alarm does not wait for a second look."""
 
 RESTLESS = 0.97
 """Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
 
 BEGINS = 0.1
 """Step by which the beginning of what a look uses of a long regime moves, as a share of `LONGEST`."""
+
+ENOUGH, FEW = 11.0, 20
+"""Time from which on a fit tests whether an axis is only held [s]: `position_loop.LEAST` averages. Before that the test
+is made at each look, with this number of averages."""
+
+HELD = "its commands only answer its motion"
 
 QUIET = 5.0
 """Time without a new command after which an axis is `holding` [s]: by then it has answered the last one."""
@@ -95,18 +106,42 @@ class Group:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A change that was found at the last look and will be named at this one.
+class _Before:
+    """Regimes and estimates before a change.
 
     Attributes:
+        since, changed: Axis to the start of its regime, and to the time of its last change [s].
+        bounds: Start of each regime [s] and its alarm.
+        groups: Groups of axes.
+    """
+
+    since: Mapping[str, float]
+    changed: Mapping[str, float]
+    bounds: Sequence[tuple[float, Alarm | None]]
+    groups: Mapping[tuple[str, ...], Group]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A change that was found.
+
+    Attributes:
+        time: When [s].
         names: Names of the scores of the likelihood that shows it.
         contrast: Its contrast.
         looked: All contrasts of that look, by the names of their scores.
+        threshold: p-value below which contrasts were found.
+        before: What was known before it.
+        alarm: Its alarm; None as long as the air may be its cause.
     """
 
+    time: float
     names: tuple[str, ...]
     contrast: Contrast
     looked: Mapping[tuple[str, ...], Sequence[Contrast]]
+    threshold: float
+    before: _Before
+    alarm: Alarm | None = None
 
 
 class Following:
@@ -136,12 +171,28 @@ class Following:
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
+        self._known: dict[str, float] = {}
         self._seen: _Seen | None = None
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
         self.next_look = LEAST_TIME
         self.courses: tuple[Course, ...] = ()
         self.doubt: dict[str, float] = {}
+
+    def follow(self, flight: Flight, now: float, standing: bool = False) -> Tracked | None:
+        """A look at the flight so far, if one is due; else a glance. See both."""
+        return (self.look if now > self.next_look - 1e-6 else self.glance)(flight, now, standing)
+
+    def glance(self, flight: Flight, now: float, standing: bool = False) -> Tracked | None:
+        """Tests whether the vehicle has changed, without a step of the estimates; None if there is no alarm.
+
+        Args:
+            flight: As in `look`.
+            now: As in `look`.
+            standing: As in `look`.
+        """
+        alarm = self._change(flight, now, standing)
+        return self._tracked(flight, now, (alarm,)) if alarm else None
 
     def look(self, flight: Flight, now: float, standing: bool = False) -> Tracked:
         """A look at the flight so far.
@@ -157,12 +208,11 @@ class Following:
         self.next_look = next_look(self.next_look, now)
         before = self._as_refitted()
         self._groups = {axes: self._looked(axes, flight, now) for axes in groups_of([flight], flight.axes)}
-        if standing:
-            self._seen = None
-        alarm = None if standing else self._change(flight, now)
+        alarm = self._change(flight, now, standing)
         state = self._tracked(flight, now, (alarm,) if alarm else ())
-        if self._earlier and state.model is not before and (unlike := self._another_vehicle(state, self._earlier)):
-            return replace(state, alarms=(*state.alarms, unlike))
+        if self._earlier and not alarm and state.model is not before:
+            unlike = self._another_vehicle(state, self._earlier)
+            return replace(state, alarms=(unlike,)) if unlike else state
         return state
 
     def memory(self) -> dict[str, Any]:
@@ -223,26 +273,33 @@ class Following:
             return replace(group, fitted=refitted(part, axes, self._structure, excited))
         return replace(group, fitted=stepped(before, part, excited))
 
-    def _change(self, flight: Flight, now: float) -> Alarm | None:
-        """The alarm of this look, if there is one; it begins a new regime."""
-        fitted = [group.fitted for group in self._groups.values() if group.fitted]
-        scored = {scores.names: scores for scores in scores_of_groups(fitted, flight)}
-        looked, count = looked_together(list(scored.values()))
-        (seen, self._seen), early = (self._seen, None), False
-        threshold = self._false_alarms * EVERY / 3600.0 / max(count, 1)
-        if seen is None:
-            found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
-            seen = _Seen(*min(found, key=lambda each: each[1].p_value), looked) if found else None
-            self._seen, early = seen, True  # unless the cause is plain, another second of data decides it
-            if seen is None or seen.contrast.p_value > SURE:
-                return None
-        if seen.names not in scored:
-            return None
-        best, since = since_when(scored[seen.names], seen.contrast)
-        if not calm(scored[seen.names], best.since, seen.contrast.p_value):
-            return None  # the air, not the vehicle
-        if self._at_rest(flight, now, seen.names, threshold):
+    def _change(self, flight: Flight, now: float, standing: bool) -> Alarm | None:
+        """The alarm that is raised or revised now, if there is one; it begins a new regime."""
+        if standing:
             self._seen = None
+            return None
+        seen, first = self._seen, self._seen is None
+        if seen and now < seen.time + REVISED - 1e-6:
+            return None
+        groups = seen.before.groups if seen else self._groups
+        scored = {scores.names: scores for scores in scores_of_groups(_renewed(groups, flight, now), flight)}
+        looked, count = looked_together(list(scored.values()))
+        self._seen = None
+        if seen is None:
+            threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
+            found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
+            if not found:
+                return None
+            before = _Before(self._since, self._changed, self._bounds, self._groups)
+            names, best = min(found, key=lambda each: each[1].p_value)
+            seen = _Seen(now, names, best, looked, threshold, before)
+        elif seen.names not in scored:
+            return None
+        best, since = since_when(scored[seen.names], seen.contrast, looked[seen.names])
+        if seen.alarm is None and not calm(scored[seen.names], best.since, seen.contrast.p_value):
+            self._seen = seen if first else None
+            return None  # the air, not the vehicle, until more data tell otherwise
+        if seen.alarm is None and self._at_rest(flight, now, seen.names, seen.threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
         others = [
             (scores, there)
@@ -251,20 +308,35 @@ class Following:
             if (there := at_once(scores, [*seen.looked.get(names, ()), *looked[names]], best.since))
         ]
         named = diagnosis([(scored[seen.names], best), *others])
-        if early and named.plain < PLAIN:
-            return None
-        self._seen = None
-        p_value = seen.contrast.p_value
-        axes = tuple(axis for axis in AXES if axis in named.axes)
-        alarm = Alarm(now, axes, named.cause, since, named.change, named.confidence, p_value, named.why)
-        for axis in named.axes:
-            self._since[axis] = self._changed[axis] = best.since
-        self._bounds = sorted([*self._bounds, (best.since, alarm)], key=lambda bound: bound[0])
-        self._groups = {
-            axes: Group(axes, best.since, answers=group.answers) if set(axes) & set(named.axes) else group
-            for axes, group in self._groups.items()
-        }
+        alarm = Alarm(
+            time=now,
+            axes=tuple(axis for axis in AXES if axis in named.axes),
+            cause=named.cause,
+            since=since,
+            change=named.change,
+            confidence=named.confidence,
+            p_value=seen.contrast.p_value,
+            why=named.why,
+            revises=seen.alarm.time if seen.alarm else None,
+        )
+        self._seen = replace(seen, alarm=alarm) if first else None
+        self._begin(alarm, best.since, seen.before)
         return alarm
+
+    def _begin(self, alarm: Alarm, since: float, before: _Before) -> None:
+        """Begins a regime for the axes of an alarm; an axis that only its first version named is as it was before."""
+        changed = dict.fromkeys(alarm.axes, since)
+        self._known = {axis: time for axis, time in self._known.items() if axis not in changed}
+        self._since, self._changed = {**before.since, **changed}, {**before.changed, **changed}
+        self._bounds = sorted([*before.bounds, (since, alarm)], key=lambda bound: bound[0])
+        groups = dict(self._groups)
+        for axes, group in groups.items():
+            known = before.groups.get(axes, group)
+            if set(axes) & set(alarm.axes):
+                groups[axes] = Group(axes, since, answers=group.answers)
+            elif group.since != known.since:
+                groups[axes] = known
+        self._groups = groups
 
     def _another_vehicle(self, state: Tracked, earlier: Earlier) -> Alarm | None:
         """The alarm that the vehicle is not that of the earlier model, if a refit shows it.
@@ -311,7 +383,8 @@ class Following:
 
     def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
         """The state in words and numbers."""
-        known = {axis: group.fitted for axes, group in self._groups.items() for axis in axes}
+        held = {axis for group in self._groups.values() for axis in _held(group, flight, now)}
+        known = {axis: None if axis in held else one.fitted for axes, one in self._groups.items() for axis in axes}
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
         report = {axis: axis_report(one, axis) for axis, one in known.items() if one}
         vehicles = with_drag(flight.card, estimates, {axis: one.ci95_flight for axis, one in report.items()})
@@ -332,6 +405,7 @@ class Following:
             axis: self._axis(flight, axis, now, known.get(axis), report.get(axis), moving.get(axis))
             for axis in flight.axes
         }
+        axes |= {axis: replace(one, state=f"{one.state} (so far {HELD})") for axis, one in axes.items() if axis in held}
         if self._earlier:
             axes = {
                 axis: one if axis in self._changed else told_after(one, self._earlier, axis, axis in self._unlike)
@@ -358,6 +432,10 @@ class Following:
     ) -> TrackedAxis:
         """What is known of one axis."""
         knowledge, state = _knowledge(flight, axis, now, fitted, report)
+        if knowledge == "known":
+            self._known[axis] = now
+        elif axis in self._known and knowledge != "holding":
+            state = f"{state} (known until {self._known[axis]:.0f} s, taken back)"
         if axis in self._changed:
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
         out = TrackedAxis(knowledge, state)
@@ -379,9 +457,23 @@ class Following:
         )
 
 
-def next_look(due: float, now: float) -> float:
-    """Time of the next look, a whole number of periods after one that was due at `due` [s]."""
-    return due + EVERY * max(float(np.ceil((now - due) / EVERY + 1e-9)), 1.0)
+def next_look(due: float, now: float, every: float = EVERY) -> float:
+    """Time of the next look or glance, a whole number of periods after one that was due at `due` [s]."""
+    return due + every * max(float(np.ceil((now - due) / every + 1e-9)), 1.0)
+
+
+def _held(group: Group, flight: Flight, now: float) -> tuple[str, ...]:
+    """The axes of a group whose commands so far are a position controller's, if its last fit was too short to tell."""
+    if group.fitted is None or sum(part.duration for part in group.fitted.fit.flights) > ENOUGH:
+        return ()
+    part = group.part(flight, group.since, now)
+    return restored_axes([part], group.axes, FEW) if part else ()
+
+
+def _renewed(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
+    """The estimates of groups, unmoved, applied to the flight so far."""
+    parts = [(group.fitted, group.part(flight, _looks_back(group.since, now), now)) for group in groups.values()]
+    return [renewed(known, part) for known, part in parts if known and part and part.duration >= LEAST_TIME]
 
 
 def _looks_back(since: float, now: float) -> float:

@@ -44,8 +44,8 @@ def main() -> None:
                 send(answers, None)
             elif what == "look":
                 looked = looked_at(following, flight, so_far.now, standing)
-                send(answers, packed(looked, model))
-                model = looked.state.model
+                send(answers, packed(looked, model) if looked else None)
+                model = looked.state.model if looked else model
             else:
                 send(answers, following.finish(flight, so_far.now))
 

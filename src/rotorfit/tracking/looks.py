@@ -28,10 +28,10 @@ class Looked:
     doubt: Mapping[str, float] = field(default_factory=dict)
 
 
-def looked_at(following: Following, flight: Flight, now: float, standing: bool) -> Looked:
-    """A look, with everything that continues from it; see `Following.look`."""
-    state = following.look(flight, now, standing)
-    return Looked(state, following.memory(), following.courses, following.doubt)
+def looked_at(following: Following, flight: Flight, now: float, standing: bool) -> Looked | None:
+    """A look with everything that continues from it, or a glance, None without an alarm; see `Following.follow`."""
+    state = following.follow(flight, now, standing)
+    return Looked(state, following.memory(), following.courses, following.doubt) if state else None
 
 
 End = tuple[Tracked, tuple[Regime, ...]]
@@ -42,10 +42,10 @@ class Looks(Protocol):
     """Makes looks at a growing flight."""
 
     def ask(self, growing: GrowingFlight) -> None:
-        """Requests a look at the flight as it is now."""
+        """Requests a look, or a glance, at the flight as it is now."""
 
     def answers(self) -> Iterator[Looked]:
-        """The looks that were completed since the last call, in order."""
+        """The looks that were completed since the last call, in order, and glances that raised or revised an alarm."""
 
     def finish(self, growing: GrowingFlight) -> End | None:
         """The last state and the regimes; None for a flight that never began. Pending looks then come by `answers`."""
@@ -70,8 +70,9 @@ class LooksHere:
 
     def ask(self, growing: GrowingFlight) -> None:
         """See `Looks`."""
-        if flight := growing.flight():
-            self._looked.append(looked_at(self._following, flight, growing.now, growing.standing))
+        flight = growing.flight()
+        if flight and (looked := looked_at(self._following, flight, growing.now, growing.standing)):
+            self._looked.append(looked)
 
     def answers(self) -> Iterator[Looked]:
         """See `Looks`."""

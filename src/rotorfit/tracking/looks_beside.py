@@ -22,9 +22,9 @@ from rotorfit.core.model import Model
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.looks import End, Looked
 
-BEHIND, PACED = 10, 3
-"""Largest number of pending looks. Further looks at a vehicle are skipped until the machine has caught up; what is
-simulated or played back (paced) waits instead."""
+BEHIND, PACED = 40, 12
+"""Largest number of pending looks and glances. Further ones at a vehicle are skipped until the machine has caught up;
+what is simulated or played back (paced) waits instead."""
 
 PATIENCE = 5.0
 """How long the process may take to end before it is killed [s]."""

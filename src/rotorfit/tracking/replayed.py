@@ -9,7 +9,7 @@ from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.tracked import Track, Tracked
 from rotorfit.tracking.earlier import Earlier, check_earlier
-from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, Following
+from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, Following
 from rotorfit.tracking.ground import Ground
 
 OnState = Callable[[Tracked], None]
@@ -33,7 +33,7 @@ def tracked(
         false_alarms_per_hour: Promised bound on their expected number [1/h].
         on_state: Called with each state as it is made.
         earlier: The model of an earlier flight; None if there is none.
-        stopped: Called after each state; if it returns true, the flight ends there.
+        stopped: Called after each look and glance; if it returns true, the flight ends there.
 
     Returns:
         All states, the last one after a final fit, and the regimes.
@@ -45,11 +45,12 @@ def tracked(
         check_earlier(earlier, flight.card)
     following, ground, states = Following(structure, false_alarms_per_hour, earlier), Ground(), []
     seen = 0.0
-    for part, now in growing(flight, following.next_look):
+    for part, now in growing(flight, following.next_look, GLANCE):
         _stand_on(ground, part, seen)
         seen = now
-        states.append(following.look(part, now, ground.stands))
-        on_state(states[-1])
+        if state := following.follow(part, now, ground.stands):
+            states.append(state)
+            on_state(state)
         if stopped():
             flight = part
             break
@@ -71,10 +72,10 @@ def _stand_on(ground: Ground, part: Flight, since: float) -> None:
         ground.command(*command)
 
 
-def growing(flight: Flight, begin: float) -> Iterator[tuple[Flight, float]]:
-    """The flight up to each second from `begin` [s] on, with that second [s]."""
+def growing(flight: Flight, begin: float, every: float = EVERY) -> Iterator[tuple[Flight, float]]:
+    """The flight up to each instant from `begin` [s] on, `every` [s], with that instant [s]."""
     end = flight.segments[-1].end
-    for now in np.arange(begin, end, EVERY):
+    for now in np.arange(begin, end, every):
         if any(part.start < now for part in flight.segments):
             yield until(flight, float(now)), float(now)
 

@@ -1,8 +1,8 @@
 """Tracker: takes samples, and reports at any moment what is known of the vehicle.
 
 Each sample is appended to the growing flight, which costs little. Once a second a look updates the estimates of all
-axes, tests the last seconds against the rest, and assembles the state: at once, or live in a process beside. The
-tracker never commands a vehicle.
+axes, tests the last seconds against the rest, and assembles the state: at once, or live in a process beside. Glances
+between looks only test. The tracker never commands a vehicle.
 """
 
 import json
@@ -28,7 +28,7 @@ from rotorfit.core.tracked import Motion, Regime, Tracked, TrackedAxis
 from rotorfit.files.cards import load_card
 from rotorfit.tracking.earlier import Earlier, check_earlier, earlier_of, until_known
 from rotorfit.tracking.flight_so_far import UNRECORDED
-from rotorfit.tracking.following import FALSE_ALARMS_PER_HOUR, Following, next_look
+from rotorfit.tracking.following import FALSE_ALARMS_PER_HOUR, GLANCE, Following, next_look
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.looks import Looks, LooksHere
 from rotorfit.tracking.looks_beside import LooksBeside
@@ -110,7 +110,7 @@ class Tracker:
         if took and sample.stream == "pose":
             self._stream.follow()
         if took and now >= self._due:
-            self._due = next_look(self._due, now)
+            self._due = next_look(self._due, now, GLANCE)
             self._looks.ask(self._growing)
         self._take_in()
 

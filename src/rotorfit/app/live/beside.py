@@ -81,7 +81,7 @@ def main() -> None:
     os.nice(0 if asked["paced"] else NICE)
     earlier = earlier_of(asked["after"]) if asked["after"] else None
     tracker = Tracker(card_from_mapping(asked["card"], "of the flight"), after=earlier, path=asked["path"])
-    gains = list[str]()
+    gains, raised = list[str](), dict[float, str]()
     regaining = None
     if asked["gains"] is not None:
         from rotorfit.app.live.regained import regaining_of
@@ -96,7 +96,10 @@ def main() -> None:
     def tell(state: Tracked, now: int, summary: str = "") -> None:
         if regaining:
             regaining.state(state, now)
-        alarms = [f"{one.time:.1f} s  ALARM {', '.join(one.axes)}: {one.cause}: {one.why}" for one in state.alarms]
+        alarms = []
+        for one in state.alarms:
+            raised[one.time] = f"{one.time:.1f} s  {one.title}: {one.why}"
+            alarms.append((raised[one.time], raised.get(one.raised) if one.revises is not None else None))
         told = {"time": state.time, "words": words_of(state), "alarms": alarms, "gains": list(gains)}
         gains.clear()
         print(json.dumps({**told, "summary": summary}), file=answers, flush=True)

@@ -90,7 +90,7 @@ class Recording:
             return
         for alarm in state.alarms:
             self._recorder.json_message(ALARM, now, alarm.to_mapping())
-            self._recorder.event(now, f"ALARM {', '.join(alarm.axes)}: {alarm.cause}: {alarm.why}")
+            self._recorder.event(now, f"{alarm.title}: {alarm.why}")
         self._recorder.json_message(TRACKED, now, state.to_mapping())
 
     def motion(self, motion: Motion, now: int) -> None:

@@ -76,7 +76,7 @@ class Regaining:
         """Publishes new gains if a state calls for them."""
         for alarm in state.alarms:
             if alarm.cause in OF_THE_VEHICLE:
-                self._retuning.changed(alarm.axes, alarm.cause)
+                self._retuning.changed(alarm.axes, alarm.cause, alarm.revises is not None)
         self._states = state.axes
         if state.model is None or state.landed:
             return

@@ -72,7 +72,7 @@ def line_of(state: Tracked) -> str:
 def alarm_view(alarm: Alarm) -> View:
     """What changed, when, by how much, and the reason for the named cause."""
     low, high = alarm.since
-    head = Text(f"{alarm.time:7.1f} s  ALARM {', '.join(alarm.axes)}: {alarm.cause}", style="bold red")
+    head = Text(f"{alarm.time:7.1f} s  {alarm.title}", style="bold red" if alarm.revises is None else "red")
     if high > 0:  # a vehicle that is another one since the start has not changed
         head.append(f", since {low:.1f} to {high:.1f} s", style="default")
     yield head

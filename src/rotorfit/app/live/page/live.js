@@ -12,7 +12,7 @@ const colour = name => getComputedStyle(document.documentElement).getPropertyVal
 const figure = value => Number(value).toPrecision(3);
 const unitOf = (unit, axis) => unit.replace("{}", axis === "yaw" ? "rad" : "m");
 const missing = value => value === null || value === undefined;
-const time = [], alarms = [], panels = new Map();
+const time = [], alarms = [], raised = new Map(), panels = new Map();
 
 function made(tag, kind, text) {
   const node = document.createElement(tag);
@@ -134,12 +134,15 @@ function noted(box) {
   while (place("notes").children.length > 20) place("notes").lastChild.remove();
 }
 
-function alarmed(alarm) {
-  alarms.push(alarm.since[0]);
+function alarmed(alarm) { // a revision takes the place of its alarm
+  const before = alarm.revises === null ? undefined : raised.get(alarm.revises);
+  if (before) { alarms[before.number] = alarm.since[0]; before.box.remove(); }
+  const number = before ? before.number : alarms.push(alarm.since[0]) - 1;
   const box = made("div", "alarm"), head = made("div");
-  head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, raised at ${alarm.time.toFixed(1)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
+  head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, raised at ${(alarm.revises ?? alarm.time).toFixed(1)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
   const changes = Object.entries(alarm.change).map(([name, [low, high]]) => `${name.replace(".", " ")} ${/delay|trim/.test(name) ? "by" : "times"} ${figure(low)} to ${figure(high)}`);
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
+  raised.set(alarm.time, {box, number});
   noted(box);
 }
 
