@@ -40,6 +40,9 @@ OPTIMISTIC = 1.1
 LEAST_BLOCKS = 100
 """Number of innovations below which nothing is tested."""
 
+TOGETHER = 8
+"""Number of lags whose correlations are computed together: more would take more memory than all else."""
+
 DISTINCT = 1e-3
 """Share of the largest variance below which a combination of past commands is left out as a copy of the others."""
 
@@ -80,10 +83,11 @@ def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogra
     e = innovations.innovation - innovations.innovation.mean()
     size = np.sqrt(float(e @ e) * np.sum(u**2, axis=0))
     value, band = np.zeros(size.size), np.zeros(size.size)
-    told = size > 0
-    if told.any():
-        total, spread = _with_command(innovations, u[:, told], covariance)
-        value[told], band[told] = total / size[told], NORMAL * np.sqrt(np.diag(spread)) / size[told]
+    told = np.flatnonzero(size > 0)
+    for first in range(0, told.size, TOGETHER):
+        some = told[first : first + TOGETHER]
+        total, spread = _with_command(innovations, u[:, some], covariance)
+        value[some], band[some] = total / size[some], NORMAL * np.sqrt(np.diag(spread)) / size[some]
     lag = _step(innovations.time) * np.arange(1, size.size + 1)
     return Correlogram(np.asarray(lag, float), value, band)
 

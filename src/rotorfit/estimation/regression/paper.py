@@ -240,8 +240,8 @@ def newey_west(time: Array, score: Array, lag: float) -> Array:
     time = time - time[0]
     g = np.concatenate([zero, np.cumsum(score, axis=0)])
     tg = np.concatenate([zero, np.cumsum(time[:, None] * score, axis=0)])
-    now, first = np.arange(len(time)), np.searchsorted(time, time - lag)
-    earlier = (1 - time / lag)[:, None] * (g[now] - g[first]) + (tg[now] - tg[first]) / lag
+    first = np.searchsorted(time, time - lag)
+    earlier = (1 - time / lag)[:, None] * (g[:-1] - g[first]) + (tg[:-1] - tg[first]) / lag
     cross = score.T @ earlier
     return np.asarray(score.T @ score + cross + cross.T)
 
