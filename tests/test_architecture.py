@@ -37,12 +37,13 @@ KERNEL_REACH = 9
 COMPOSED = (
     "dynamics.error_bands",
     "dynamics.other_limits",
+    "dynamics.predictor",
     "dynamics.protocol",
     "dynamics.trajectory",
     "simulation.flight_room",
 )
-"""What composes kernels: predictions and their bands, a model under a card of other limits, simulation by a model, the
-virtual flight room."""
+"""What composes kernels: predictions, their states and bands, a model under a card of other limits, simulation by a
+model, the virtual flight room."""
 
 
 @pytest.fixture(scope="module")

@@ -37,12 +37,12 @@ MOST_TRIES = 8
 """Passes of a line search."""
 
 SECANT_BELOW = 20.0
-"""Expected gain in log-likelihood below which the secant correction is kept from pass to pass, and from which on the
-adjustment of the likelihood counts: it changes by a few units."""
+"""Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
 
 
-NEAR_TOP, FAR_BELOW = 0.3, 2.0
-"""Largest change of a log level over which the adjustment is taken to first order."""
+LINEAR = 0.3
+"""Largest change of a log level over which the adjustment is taken to first order. Over longer ones a climb can go to
+another maximum of the levels."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def maximise(
     if restricted is None and free[-1]:
         restricted = restriction(records, point, free)
     rough = linear is not None
-    objective = _Objective(records, restricted, prior, linear, NEAR_TOP)
+    objective = _Objective(records, restricted, prior, linear, LINEAR)
     best = objective.near(point)
     passes, active, fresh = 1, free & ~at_bound(point, best.gradient), inverse is None
     while True:
@@ -170,8 +170,6 @@ def maximise(
                 break
             best, passes, objective.reach = objective.exact(point), passes + 1, -1.0
             continue
-        if objective.reach > 0:
-            objective.reach = FAR_BELOW if gain > SECANT_BELOW else NEAR_TOP
         step = limit_step(step, point.gain.size, point.extra.size, point.levels.size)
         step = point.reach(step) * step
         trial, result, tried = _line_search(objective, point, best, step, active)

@@ -188,14 +188,13 @@ def _walk(
 ) -> tuple[float | None, float, float | None]:
     """Where the root of the fall equals `reach`, or None; and the bracket around it, with None for no outer end.
 
-    The root is nearly linear where the likelihood is nearly quadratic: steps outwards go where the line through the
-    last two evaluations crosses, and a bracket is divided where the line between its ends does. Where that leaves more
-    than half of it, as where the root is flat beyond the end, it is bisected next. Where the profile jumps from one
-    maximum to another, the bracket becomes narrow without an end in it.
+    The root is nearly linear where the likelihood is nearly quadratic: steps outwards scale with it, and a bracket is
+    divided where the line between its ends crosses. Where that leaves more than half of it, as where the root is flat
+    beyond the end, it is bisected next. Where the profile jumps from one maximum to another, the bracket becomes narrow
+    without an end in it.
     """
     outside: float | None = None
     below, above, width = -reach, 0.0, np.inf
-    last, short = best, reach
     for _ in range(12):
         target = min(target, bound) if bound > best else max(target, bound)
         off = root(target) - reach
@@ -208,9 +207,7 @@ def _walk(
         else:
             inside, below = target, off
         if outside is None:
-            rise = max(short + off, 1e-6 * reach) / (target - last)
-            last, short = target, -off
-            target = best + min((target - best) - off / rise, FURTHER * (target - best), key=abs)
+            target = best + (target - best) * min(reach / max(off + reach, 1e-6), FURTHER)
             continue
         before, width = width, abs(outside - inside)
         if width < NARROW * abs(outside - best):
