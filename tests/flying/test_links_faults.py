@@ -217,7 +217,7 @@ def test_a_step_of_the_senders_clock_is_followed(
 def test_poses_whose_clock_goes_on_by_half_a_minute_end_nothing(
     kind: str, tmp_path: Path, peers: dict[str, str]
 ) -> None:
-    # without libfaketime, under which threads of rospy now and then wait for half a second at such a step
+    # without libfaketime: under it the poses of the fake paused for half a second at this step in 3 of 11 flights
     with flying(tmp_path, kind, **peers) as (flight, peer):
         peer.send_signal(signal.SIGHUP)
         flew_on(tmp_path, flight)
