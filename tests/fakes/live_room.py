@@ -28,6 +28,7 @@ class LiveRoom:
     Attributes:
         arrived: The commands by the wall clock [ns].
         fault: Of the poses: `stale`, they repeat; `jump`, they lie beside the vehicle; empty, there is none.
+        ahead: How far the clock of the stamps is ahead of the wall clock [ns].
     """
 
     def __init__(self, room: Any) -> None:
@@ -37,11 +38,11 @@ class LiveRoom:
         self._ahead: list[Sample] = []
         self._last: tuple[float, ...] = ()
         self.arrived: list[tuple[int, tuple[float, ...]]] = []
-        self.fault = ""
+        self.fault, self.ahead = "", 0
 
     def wall(self, instant: int) -> int:
-        """The wall clock at an instant of the room [ns]."""
-        return time.time_ns() - self.now() + instant
+        """The clock of the stamps at an instant of the room [ns]."""
+        return time.time_ns() + self.ahead - self.now() + instant
 
     def now(self) -> int:
         """The room's instant [ns]."""
@@ -101,7 +102,7 @@ def arguments(vehicle: str, mocap: Mocap) -> tuple[argparse.ArgumentParser, Call
 def run_until_told(step: Callable[[], None], room: LiveRoom, arrivals: Path | None) -> None:
     """Calls `step` again and again until SIGTERM, SIGINT or the end of the parent, then writes what arrived.
 
-    From SIGUSR1 on poses are stale, from SIGUSR2 on they have jumped.
+    From SIGUSR1 on poses are stale, from SIGUSR2 on they have jumped, from SIGHUP on their clock is 30 s ahead.
     """
     told: list[int] = []
 
@@ -111,6 +112,7 @@ def run_until_told(step: Callable[[], None], room: LiveRoom, arrivals: Path | No
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGUSR1, lambda *_: setattr(room, "fault", "stale"))
+    signal.signal(signal.SIGHUP, lambda *_: setattr(room, "ahead", 30_000_000_000))
     signal.signal(signal.SIGUSR2, lambda *_: setattr(room, "fault", "jump"))
     parent = os.getppid()
     print("ready", flush=True)

@@ -3,6 +3,7 @@ processes that are killed. Hover first, and a recording that is readable."""
 
 import json
 import os
+import re
 import select
 import shutil
 import signal
@@ -196,7 +197,7 @@ def test_a_step_of_our_own_time_of_day_is_not_felt(
         flew_on(tmp_path, flight)
 
 
-@pytest.mark.parametrize(("kind", "step"), [("mavlink", "+30"), ("mavlink", "-30"), ("tello", "-30"), ("ros1", "+30")])
+@pytest.mark.parametrize(("kind", "step"), [("mavlink", "+30"), ("mavlink", "-30"), ("tello", "-30")])
 def test_a_step_of_the_senders_clock_is_followed(
     kind: str, step: str, tmp_path: Path, peers: dict[str, str], steps: tuple[dict[str, str], Path]
 ) -> None:
@@ -206,7 +207,23 @@ def test_a_step_of_the_senders_clock_is_followed(
         flew_on(tmp_path, flight)
     if kind == "mavlink":
         (survey,) = survey_logs([str(tmp_path / "flight.mcap")])
-        assert any(f"clock stepped by {step}" in text for _, text in survey.events)
+        found_steps = [
+            float(found[1]) for _, text in survey.events if (found := re.search(r"clock stepped by (\S+) s", text))
+        ]
+        assert found_steps == [pytest.approx(float(step), abs=0.05)]
+
+
+@pytest.mark.parametrize("kind", ["ros1"])
+def test_poses_whose_clock_goes_on_by_half_a_minute_end_nothing(
+    kind: str, tmp_path: Path, peers: dict[str, str]
+) -> None:
+    # without libfaketime: under it the poses of the fake paused for half a second at this step in 3 of 11 flights
+    with flying(tmp_path, kind, **peers) as (flight, peer):
+        peer.send_signal(signal.SIGHUP)
+        flew_on(tmp_path, flight)
+
+    flight_read = load_flight(parse_log(str(tmp_path / "flight.mcap")))
+    assert any("the clock of" in note.text and "steps by -30" in note.text for note in flight_read.notes)
 
 
 @pytest.mark.parametrize("kind", ["ros1"])
@@ -220,7 +237,7 @@ def test_poses_whose_clock_goes_back_end_the_flight_in_hover(
 
     told(kind, error, after)
     assert "the clock of the poses jumped back by" in error
-    assert after < 3.0  # the step is felt within one, and the pose counts as frozen a second later
+    assert after < 4.0  # the step is felt within one or two, and the pose counts as frozen a second later
 
 
 # Second flights

@@ -190,8 +190,12 @@ def agree(live: Live, direct: Path) -> None:
             name, least = f"{axis}.{part}", a - way if part == "delay" else a
             verdict = "" if least <= high and low <= b else "APART"
             apart += [name] if verdict else []
-            one = f"live {getattr(over, part):8.4f} [{a:8.4f}, {b:8.4f}]"
-            other = f"direct {getattr(plain, part):8.4f} [{low:8.4f}, {high:8.4f}]"
+            # where the flight refutes the law, the value is withheld and the interval is not
+            values = [np.nan if value is None else value for value in (getattr(over, part), getattr(plain, part))]
+            one, other = (
+                f"live {values[0]:8.4f} [{a:8.4f}, {b:8.4f}]",
+                f"direct {values[1]:8.4f} [{low:8.4f}, {high:8.4f}]",
+            )
             print(f"  {name:12s} {one}   {other} {verdict}")
     assert apart == []
 
