@@ -118,18 +118,18 @@ class _Compared:
 
 
 def _compared(scores: Scores, since: float) -> _Compared | None:
-    """The comparison under the likeliest strength of gusts in the window; None if either part is too short.
+    """The comparison under the strength of gusts in the window; None if either part is too short.
 
-    That is the likelihood of the window with coefficients, trims and start velocities of its own.
+    A long window determines it: by its likelihood with coefficients, trims and start velocities of its own.
     """
     at = int(np.searchsorted(scores.time, since))
     if at == scores.time.size or scores.chunks_before(at) < LEAST_CHUNKS:
         return None
     own, P, likelihoods = scores.rows[at:].T @ scores.rows[at:], len(scores.names), scores.gust_likelihood(since)
     G_r, s_r, _ = _projected(scores.products - own, P)
-    pushed = bool(scores.jolts.size)
-    first = scores.gusts if pushed else 0
-    last = scores.gusts if pushed and scores.time[-1] - since < OWN_GUSTS else len(scores.under_gusts)
+    short = bool(scores.time[-1] - since < OWN_GUSTS)
+    first = scores.gusts if short or scores.jolts.size else 0
+    last = scores.gusts if short else len(scores.under_gusts)
     best, G_w, s_w, left = -np.inf, np.empty(0), np.empty(0), 0.0
     for each, likely in list(zip((scores, *scores.under_gusts), likelihoods, strict=False))[first : last + 1]:
         products = each.rows[at:].T @ each.rows[at:]
