@@ -37,7 +37,8 @@ UNLIKELY = 1e-3
 
 OWN_GUSTS = 2.4
 """Shortest window that determines the strength of its own gusts [s]: in a shorter one a push may come from a gust or
-from the vehicle, and the other seconds and axes decide. For z and yaw, which both can push, they set the least strength
+from the vehicle, and the other seconds and axes decide; it is tested along the directions of typical changes only,
+because several directions together fit a single gust. For z and yaw, which both can push, they set the least strength
 in longer windows too."""
 
 LEAST_CHUNKS = 12
@@ -118,18 +119,18 @@ class _Compared:
 
 
 def _compared(scores: Scores, since: float) -> _Compared | None:
-    """The comparison under the likeliest strength of gusts in the window; None if either part is too short.
+    """The comparison under the strength of gusts in the window; None if either part is too short.
 
-    That is the likelihood of the window with coefficients, trims and start velocities of its own.
+    A long window determines it: by its likelihood with coefficients, trims and start velocities of its own.
     """
     at = int(np.searchsorted(scores.time, since))
     if at == scores.time.size or scores.chunks_before(at) < LEAST_CHUNKS:
         return None
     own, P, likelihoods = scores.rows[at:].T @ scores.rows[at:], len(scores.names), scores.gust_likelihood(since)
     G_r, s_r, _ = _projected(scores.products - own, P)
-    pushed = bool(scores.jolts.size)
-    first = scores.gusts if pushed else 0
-    last = scores.gusts if pushed and scores.time[-1] - since < OWN_GUSTS else len(scores.under_gusts)
+    short = bool(scores.time[-1] - since < OWN_GUSTS)
+    first = scores.gusts if short or scores.jolts.size else 0
+    last = scores.gusts if short else len(scores.under_gusts)
     best, G_w, s_w, left = -np.inf, np.empty(0), np.empty(0), 0.0
     for each, likely in list(zip((scores, *scores.under_gusts), likelihoods, strict=False))[first : last + 1]:
         products = each.rows[at:].T @ each.rows[at:]
@@ -222,7 +223,7 @@ def _inverse(products: Array, least: float) -> Array:
 
 
 def looked_for(scores: Scores) -> list[Contrast]:
-    """The contrasts of all windows of at most half the regime, in all of `_bases`, and the likeliest jolt."""
+    """The contrasts of all windows of at most half the regime, along `_bases`, and the likeliest jolt."""
     return _looked_for(scores, _windows(scores))
 
 
@@ -234,14 +235,20 @@ def _windows(scores: Scores) -> list[_Compared]:
 
 
 def _looked_for(scores: Scores, windows: Sequence[_Compared]) -> list[Contrast]:
-    bases = _bases(scores.names)
-    found = [each for one in windows for basis in bases if (each := _along(scores, one, basis, UNLIKELY))]
+    now, bases = float(scores.time[-1]), _bases(scores.names)
+    found = [
+        each
+        for one in windows
+        for basis in (bases[1:] if now - one.since < OWN_GUSTS else bases)
+        if (each := _along(scores, one, basis, UNLIKELY))
+    ]
     return [*found, *_jolted([scores]).values()]
 
 
 def looks(scores: Scores) -> int:
     """Number of contrasts that a look at these scores tests."""
-    return len(WINDOWS) * len(_bases(scores.names)) + _instants(scores)
+    long = sum(window >= OWN_GUSTS for window in WINDOWS)
+    return len(WINDOWS) * (len(_bases(scores.names)) - 1) + long + _instants(scores)
 
 
 def looked_together(scored: Sequence[Scores]) -> tuple[dict[tuple[str, ...], list[Contrast]], int]:

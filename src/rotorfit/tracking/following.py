@@ -54,7 +54,7 @@ EVERY, GLANCE = 1.0, 0.25
 """Time between looks, and between glances [s]."""
 
 REVISED = 1.0
-"""Time from an alarm to its revision [s]. A change in air that is not calm waits as long for its alarm."""
+"""Time from an alarm to its revision [s]."""
 
 FALSE_ALARMS_PER_HOUR = 0.1
 """Promised rate of false alarms by default [1/h]."""
@@ -122,26 +122,22 @@ class _Before:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A change that was found.
+class _Raised:
+    """An alarm that will be revised.
 
     Attributes:
-        time: When [s].
-        names: Names of the scores of the likelihood that shows it.
+        alarm: The alarm.
+        names: Names of the scores of the likelihood that shows the change.
         contrast: Its contrast.
         looked: All contrasts of that look, by the names of their scores.
-        threshold: p-value below which contrasts were found.
-        before: What was known before it.
-        alarm: Its alarm; None as long as the air may be its cause.
+        before: What was known before.
     """
 
-    time: float
+    alarm: Alarm
     names: tuple[str, ...]
     contrast: Contrast
     looked: Mapping[tuple[str, ...], Sequence[Contrast]]
-    threshold: float
     before: _Before
-    alarm: Alarm | None = None
 
 
 class Following:
@@ -172,7 +168,7 @@ class Following:
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
         self._known: dict[str, float] = {}
-        self._seen: _Seen | None = None
+        self._raised: _Raised | None = None
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
         self.next_look = LEAST_TIME
@@ -275,39 +271,34 @@ class Following:
 
     def _change(self, flight: Flight, now: float, standing: bool) -> Alarm | None:
         """The alarm that is raised or revised now, if there is one; it begins a new regime."""
+        raised, self._raised = self._raised, None
         if standing:
-            self._seen = None
             return None
-        seen, first = self._seen, self._seen is None
-        if seen and now < seen.time + REVISED - 1e-6:
+        if raised and now < raised.alarm.time + REVISED - 1e-6:
+            self._raised = raised
             return None
-        groups = seen.before.groups if seen else self._groups
-        scored = {scores.names: scores for scores in scores_of_groups(_renewed(groups, flight, now), flight)}
+        before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
+        scored = {scores.names: scores for scores in scores_of_groups(_renewed(before.groups, flight, now), flight)}
         looked, count = looked_together(list(scored.values()))
-        self._seen = None
-        if seen is None:
-            threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
-            found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
-            if not found:
-                return None
-            before = _Before(self._since, self._changed, self._bounds, self._groups)
-            names, best = min(found, key=lambda each: each[1].p_value)
-            seen = _Seen(now, names, best, looked, threshold, before)
-        elif seen.names not in scored:
+        threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
+        found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
+        if raised:
+            found = [(raised.names, raised.contrast)]
+        if not found or found[0][0] not in scored:
             return None
-        best, since = since_when(scored[seen.names], seen.contrast, looked[seen.names])
-        if seen.alarm is None and not calm(scored[seen.names], best.since, seen.contrast.p_value):
-            self._seen = seen if first else None
-            return None  # the air, not the vehicle, until more data tell otherwise
-        if seen.alarm is None and self._at_rest(flight, now, seen.names, seen.threshold):
+        names, first = min(found, key=lambda each: each[1].p_value)
+        best, since = since_when(scored[names], first, looked[names])
+        if not raised and not calm(scored[names], best.since, first.p_value):
+            return None  # the air, not the vehicle
+        if not raised and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
+        earlier = raised.looked if raised else {}
         others = [
             (scores, there)
-            for names, scores in scored.items()
-            if names != seen.names
-            if (there := at_once(scores, [*seen.looked.get(names, ()), *looked[names]], best.since))
+            for other, scores in scored.items()
+            if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best.since))
         ]
-        named = diagnosis([(scored[seen.names], best), *others])
+        named = diagnosis([(scored[names], best), *others])
         alarm = Alarm(
             time=now,
             axes=tuple(axis for axis in AXES if axis in named.axes),
@@ -315,12 +306,12 @@ class Following:
             since=since,
             change=named.change,
             confidence=named.confidence,
-            p_value=seen.contrast.p_value,
+            p_value=first.p_value,
             why=named.why,
-            revises=seen.alarm.time if seen.alarm else None,
+            revises=raised.alarm.time if raised else None,
         )
-        self._seen = replace(seen, alarm=alarm) if first else None
-        self._begin(alarm, best.since, seen.before)
+        self._raised = None if raised else _Raised(alarm, names, first, looked, before)
+        self._begin(alarm, best.since, before)
         return alarm
 
     def _begin(self, alarm: Alarm, since: float, before: _Before) -> None:
