@@ -111,9 +111,7 @@ def test_an_alarm_comes_before_the_state_that_knows_of_it(
     assert "6.0 s: limit or mode" in page.read_text(encoding="utf-8")
 
 
-def test_a_revised_alarm_is_one_alarm(
-    log: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_revised_alarm_is_one_alarm(log: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     first = Alarm(6.0, ("z",), "other", (5.2, 5.8), {}, 0.5, 1e-8, "because")
     faked(monkeypatch, first, replace(first, time=7.0, axes=("x", "y"), cause="limits", revises=6.0))
     page = tmp_path / "track.html"
