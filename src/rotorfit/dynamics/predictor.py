@@ -10,21 +10,12 @@ import numpy as np
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DELAY, TRIM
 from rotorfit.dynamics.compiled import inner, kernel
-from rotorfit.dynamics.filter_bank import (
-    bank_tables,
-    empty_sum,
-    judge,
-    move,
-    probe,
-    row_size,
-    start_bank,
-    sum_bank,
-    take,
-)
+from rotorfit.dynamics.filter_bank import bank_tables, judge, move, probe, start_bank, take
 from rotorfit.dynamics.free_runs import STATE as RUN
 from rotorfit.dynamics.free_runs import free_runs
 from rotorfit.dynamics.general_response import advance, demands, longest_step, settle
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, START, STATE, P, Q, T, V, lag_series
+from rotorfit.dynamics.start_state import empty_sum, row_size, sum_bank
 
 _WHAT, _WHOSE = np.array([MEAN, TRIM, TRIM, START, START]), np.array([0, 0, 1, 0, 1])
 """Columns of the driven response: the motion, two unit trims, two unit start velocities."""

@@ -16,11 +16,12 @@ from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, Structure, law_of
 from rotorfit.core.results import AxisScore, Horizon, StartErrors
 from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.disturbance import distinct_steps
-from rotorfit.dynamics.filter_bank import StartState, bank_levels, start_state_from_rows
+from rotorfit.dynamics.filter_bank import bank_levels
 from rotorfit.dynamics.free_runs import STATE as RUN
 from rotorfit.dynamics.free_runs import free_runs
 from rotorfit.dynamics.kinematics import seen_in
 from rotorfit.dynamics.predictor import Forecast
+from rotorfit.dynamics.start_state import StartState, start_state_from_rows
 
 SETTLING = 2.0
 """Time at the beginning of a segment for the filter to settle before the first start [s]."""
