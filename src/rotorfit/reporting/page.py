@@ -65,7 +65,7 @@ def _origin(case: Case) -> str:
     spans = [scores.span for scores in case.validation.flights if not scores.fitted]
     if not spans:
         return f"{first}; not validated."
-    return f"{first}; validated on {_count(len(spans))} that were not fitted, {sum(b - a for a, b in spans):.0f} s."
+    return f"{first}; validated on {_count(len(spans))} outside the fit, {sum(b - a for a, b in spans):.0f} s."
 
 
 def _count(flights: int) -> str:

@@ -18,6 +18,7 @@ from rotorfit.reporting.drawing import draw_chart
 from rotorfit.reporting.panels import FlightPanels, Panel, packed, series
 from rotorfit.reporting.views import Area, Chart, FlightView, Line
 from rotorfit.reporting.words import and_list, rounded, sentences, term_of
+from rotorfit.tracking.flight_so_far import UNRECORDED
 
 SHOWN = ("input", "damping", "delay", "lag", "wind")
 """Quantities with a chart, if they are told at any time."""
@@ -354,6 +355,8 @@ def _commands(track: Track, flight: Flight, files: Sequence[Path | None]) -> lis
     """Lines to type, using the model of the last regime that has one."""
     lines = []
     last = next((path for path in reversed(files) if path), None)
+    if last is None and flight.path == UNRECORDED:
+        return ["# neither model nor recording was written: next time add -o model.json or --record flight.mcap"]
     if last is None:
         lines.append(shlex.join(["rotorfit", "track", flight.path, "-o", "model.json"]))
         numbered = [n for n, one in enumerate(track.regimes, 1) if one.model]
