@@ -12,6 +12,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Regime, Track, Tracked, TrackedAxis
 from rotorfit.reporting import write_timeline
 from rotorfit.reporting.timeline import timeline_page
+from rotorfit.tracking.flight_so_far import UNRECORDED
 
 ALARM = Alarm(
     20.0, ("x", "y"), "limits", (17.5, 18.5),
@@ -96,6 +97,13 @@ def test_the_lines_to_type_name_the_last_model_that_there_is(track: Track, fligh
 
     assert "rotorfit validate &#39;a b-1.json&#39; NEXT-FLIGHT.csv" in page
     assert "There is no model to go on with" in timeline_page(track, flight)
+
+
+def test_a_live_flight_that_was_not_recorded_is_not_named_as_a_log(track: Track, flight: Flight) -> None:
+    page = timeline_page(track, replace(flight, path=UNRECORDED))
+
+    assert "next time add -o model.json or --record flight.mcap" in page
+    assert "rotorfit track" not in page
 
 
 def test_a_flight_that_told_nothing_has_a_page_all_the_same(flight: Flight, tmp_path: Path) -> None:
