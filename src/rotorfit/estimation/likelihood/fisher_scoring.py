@@ -118,8 +118,8 @@ class _Objective:
             return earlier
         gradient = earlier.gradient.copy()
         gradient[point.n :] += self.linear.slope - earlier.linear.slope
-        adjustment = earlier.adjustment + self.linear.at(point.levels) - earlier.linear.at(point.levels)
-        return replace(earlier, adjustment=adjustment, gradient=gradient, linear=self.linear)
+        change = self.linear.at(point.levels) - earlier.linear.at(point.levels)
+        return replace(earlier, adjustment=earlier.adjustment + change, gradient=gradient, linear=self.linear)
 
 
 def maximise(

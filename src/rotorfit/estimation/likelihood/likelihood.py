@@ -324,7 +324,7 @@ def score(
     """
     K, n, L = point.gain.size, point.n, point.levels.size
     information, gradient = np.zeros((n + L, n + L)), np.zeros(n + L)
-    slopes = _Slopes.none(n, L) if isinstance(restricted, Restriction) else None
+    slopes = _Slopes.none(n, L if isinstance(restricted, Restriction) else 0)
     log_likelihood, innovations = 0.0, []
     levels, looked = _changed(point) if restricted is not None else (point.levels[None], [])
     for j, (rec, at) in enumerate(_flights(records)):
@@ -355,19 +355,18 @@ def score(
         raw = d_innovation + 0.5 * e * d_log_variance
         information[n:, n:] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
         gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
-        if slopes is not None and isinstance(restricted, Restriction):
+        if isinstance(restricted, Restriction):
             fixed = np.concatenate([residual, restricted.sensitivities[j].transpose(0, 2, 1)], axis=2)
             slopes.add(rec, fixed, 1, levels, looked, parts)
     linear = restricted if isinstance(restricted, LinearAdjustment) else None
-    if slopes is not None and isinstance(restricted, Restriction):
+    if isinstance(restricted, Restriction):
         linear = slopes.adjustment(point.levels.ravel(), restricted.active)
     adjustment = 0.0
     if linear is not None:
         adjustment = linear.at(point.levels)
         gradient[n:] += linear.slope
-    done = slopes or _Slopes.none(n, 0)
     return LikelihoodScore(
-        log_likelihood, adjustment, gradient, information, done.slopes, done.cross, tuple(innovations), linear
+        log_likelihood, adjustment, gradient, information, slopes.slopes, slopes.cross, tuple(innovations), linear
     )
 
 
