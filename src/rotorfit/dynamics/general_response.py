@@ -28,6 +28,7 @@ from rotorfit.dynamics.general_step import (
     linear_step,
     move,
 )
+from rotorfit.dynamics.response import VANISH_EVERY, vanished
 
 WARM_UP = 0.6
 """Time before the first scored pose over which the lagged input is simulated [s]: the longest delay searched."""
@@ -268,6 +269,9 @@ def _motion_response(
                 )  # fmt: skip
                 t = pose_time[i]
             heading = yaw[i]
+            if i % VANISH_EVERY == 0:
+                for n in range(V, W):
+                    z[n] = vanished(z[n])
             w = weight[block[i]]
             for a in range(K):
                 for j in range(C):

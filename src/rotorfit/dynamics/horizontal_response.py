@@ -16,7 +16,7 @@ from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import WARM_UP, longest_step
 from rotorfit.dynamics.general_step import lag_series
 from rotorfit.dynamics.lagged_response import impulse
-from rotorfit.dynamics.response import transition
+from rotorfit.dynamics.response import VANISH_EVERY, transition, vanished
 
 _SLOT = 8
 """Number of columns that step alike. Each of their variables is a slot of an array `z`."""
@@ -204,6 +204,11 @@ def _horizontal_response(
                     z[_S + _SLOT * a + _V + a] = z[_W + _SLOT * a + _C + a] = 1.0
                 continue
             heading = yaw[i]
+            if i % VANISH_EVERY == 0:
+                for n in range(_S, 8 * _SLOT):
+                    z[n] = vanished(z[n])
+                b0, b1, l0, l1 = _settled(b0), _settled(b1), _settled(l0), _settled(l1)
+                left0, left1 = vanished(left0), vanished(left1)
             b, w = block[i], weight[block[i]]
             for a in range(2):
                 at = _P + _SLOT * a
@@ -226,6 +231,12 @@ def _moved(law: Array, velocity: Array, part: int, z: Array, at: int) -> float:
         + law[0, TRIM] * z[at + _C] + law[1, TRIM] * z[at + _C + 1]
         + velocity[part, 0] * z[at + _V] + velocity[part, 1] * z[at + _V + 1]
     )  # fmt: skip
+
+
+@inner(inline="always")
+def _settled(column: Any) -> Any:
+    """A column that the motion drives, without a velocity that has decayed to nothing."""
+    return column[0], column[1], vanished(column[2]), vanished(column[3])
 
 
 @inner(inline="always", fastmath={"contract"})

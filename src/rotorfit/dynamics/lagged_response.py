@@ -14,7 +14,7 @@ from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, ORDER, TRIM, ZERO
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import WARM_UP, longest_step
 from rotorfit.dynamics.general_step import lag_series
-from rotorfit.dynamics.response import transition
+from rotorfit.dynamics.response import VANISH_EVERY, transition, vanished
 
 
 def lagged_axis_response(
@@ -172,6 +172,13 @@ def _lagged_axis_response(
                 if not second:
                     cq = sq = 0.0
                 continue
+            if i % VANISH_EVERY == 0:
+                gv, gq, sv, sq, bv, bq = (
+                    vanished(gv), vanished(gq), vanished(sv), vanished(sq), vanished(bv), vanished(bq)
+                )  # fmt: skip
+                tv, tq, lv, lq, zv, zq = (
+                    vanished(tv), vanished(tq), vanished(lv), vanished(lq), vanished(zv), vanished(zq)
+                )  # fmt: skip
             w_block, b = weight[block[i]], block[i]
             out[b, 0, 0] += w_block * (gain * gp + trim * cp + v0 * sp)
             out[b, 1, 0] += w_block * gp
