@@ -27,7 +27,7 @@ def levels(M: int, seed: int) -> Array:
 
 
 @pytest.mark.parametrize("M", [1, 2, 4, 5, 9])
-@pytest.mark.parametrize(("C", "few"), [(1, 0), (1, 1), (WIDTH - 1, 3), (WIDTH + 1, WIDTH + 1), (2 * WIDTH + 5, 4)])
+@pytest.mark.parametrize(("C", "few"), [(1, 1), (WIDTH - 1, 3), (WIDTH + 1, WIDTH + 1), (2 * WIDTH + 5, 4)])
 def test_filters_side_by_side_are_each_alone(M: int, C: int, few: int) -> None:
     rng, common, many = np.random.default_rng(C), blocks(M), levels(M, C)
     columns, yaw = rng.standard_normal((B, 2, C)), np.cumsum(rng.normal(0, 0.1, B))

@@ -6,6 +6,7 @@ filters for a block lie in one row of an array, in slots of four numbers each: t
 overlaps, so that it vectorises over the four.
 """
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,10 @@ WIDTH = 32
 
 LANES = 4
 """Number of filters in parallel; the last ones are copies where there are fewer."""
+
+PIECE = 1000
+"""Number of blocks filtered at a time: the arrays of a piece stay in the processor's cache, whatever the flight's
+length."""
 
 
 @inner()
@@ -151,9 +156,33 @@ def _groups(levels: Array) -> int:
     return -(-len(levels) // LANES)
 
 
+Piece = tuple[slice, Array, Array, Array]
+"""A stretch of consecutive blocks, and what the filters make of it: see `axis_pieces`. Its arrays are overwritten by
+the next piece."""
+
+
+def _pieces(B: int) -> list[slice]:
+    """The stretches of B blocks that are filtered one after the other."""
+    return [slice(low, min(low + PIECE, B)) for low in range(0, B, PIECE)]
+
+
+def _joined(pieces: Iterable[Piece]) -> tuple[Array, Array, Array]:
+    """All pieces together, as `whiten_axis` returns them."""
+    parts = [[part.copy() for part in arrays] for _, *arrays in pieces]
+    first, others, variances = (np.concatenate(part, axis=min(n, 1)) for n, part in enumerate(zip(*parts, strict=True)))
+    return first, others, variances
+
+
 def whiten_axis(
     steps: Array, step: Indices, count: Array, fresh: Mask, columns: Array, levels: Array, few: int
 ) -> tuple[Array, Array, Array]:
+    """All pieces of `axis_pieces` together: (B, C), (M - 1, B, few) and (M, B)."""
+    return _joined(axis_pieces(steps, step, count, fresh, columns, levels, few))
+
+
+def axis_pieces(
+    steps: Array, step: Indices, count: Array, fresh: Mask, columns: Array, levels: Array, few: int
+) -> Iterator[Piece]:
     """Filters columns of one axis with M filters. The first column goes side by side with the covariances.
 
     Args:
@@ -165,58 +194,67 @@ def whiten_axis(
         levels: q, r, alpha, kappa of each filter, shape (M, 4).
         few: Number of columns for the filters after the first, at least one; the first filters all.
 
-    Returns:
-        Innovations over their standard deviation of the first filter, (B, C), and of the others, (M - 1, B, few); and
-        the innovation variances, (M, B).
+    Yields:
+        The blocks of the piece, b of them; innovations over their standard deviation of the first filter, (b, C), and
+        of the others, (M - 1, b, few); and the innovation variances, (M, b).
     """
     (B, C), M = columns.shape, len(levels)
-    out, others, variances = np.empty((B, C)), np.empty((M - 1, B, few)), np.empty((M, B))
-    _whiten_axis(
-        steps, step, count, fresh, np.ascontiguousarray(columns), np.ascontiguousarray(levels), LANES, np.empty((3, 3)),
-        np.empty((3, 3)), np.empty((steps.size, _groups(levels), 12 * LANES)), np.zeros(28 * LANES),
-        np.empty((M if few > 1 else 1, B, 4)), np.empty(3 * WIDTH), out, others, variances,
-    )  # fmt: skip
-    return out, others, variances
+    b, G, kept = min(B, PIECE), _groups(levels), M if few > 1 else 1
+    columns, levels = np.ascontiguousarray(columns), np.ascontiguousarray(levels)
+    F, Q, table = np.empty((3, 3)), np.empty((3, 3)), np.empty((steps.size, G, 12 * LANES))
+    w, gains, z = np.zeros((G, 28 * LANES)), np.empty((kept, b, 4)), np.empty((kept, -(-C // WIDTH), 3 * WIDTH))
+    out, others, variances = np.empty((b, C)), np.empty((M - 1, b, few)), np.empty((M, b))
+    for at in _pieces(B):
+        _whiten_axis(
+            steps, step[at], count[at], fresh[at], columns[at], levels, LANES, at.start == 0, F, Q, table, w, gains, z,
+            out, others, variances,
+        )  # fmt: skip
+        n = at.stop - at.start
+        yield at, out[:n], others[:, :n], variances[:, :n]
 
 
 @kernel(fastmath={"contract"})
 def _whiten_axis(
-    steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array, lanes: int, F: Array, Q: Array,
-    table: Array, w: Array, gains: Array, z: Array, out: Array, others: Array, variances: Array,
+    steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array, lanes: int, first_piece: bool,
+    F: Array, Q: Array, table: Array, w: Array, gains: Array, z: Array, out: Array, others: Array, variances: Array,
 ) -> None:  # fmt: skip
-    """The compiled loop; `lanes` is `LANES`, not as a constant, so that loops are vectorised rather than unrolled.
+    """The compiled loop over one piece; `table`, `w` and `z` carry over from piece to piece.
 
-    Work space is allocated in Python, here and elsewhere: a kernel that allocates arrays takes twice as long to
-    compile.
+    `lanes` is `LANES`, not as a constant, so that loops are vectorised rather than unrolled. Work space is allocated in
+    Python, here and elsewhere: a kernel that allocates arrays takes twice as long to compile.
     """
     B, C, M, few, kept = columns.shape[0], columns.shape[1], levels.shape[0], others.shape[2], gains.shape[0]
-    _fill_tables(steps, levels, F, Q, table)
+    if first_piece:
+        _fill_tables(steps, levels, F, Q, table)
     for g in range(table.shape[1]):
+        row = w[g]
         for m in range(LANES):
-            w[18 * LANES + m] = levels[min(g * LANES + m, M - 1), 1]
+            row[18 * LANES + m] = levels[min(g * LANES + m, M - 1), 1]
         for i in range(B):
             if fresh[i]:
-                _start(w, g - g, levels, g)  # a zero that is not a literal: a literal would cause another compilation
-                _measure(w, 1.0 / count[i], columns[i, 0], lanes)
+                _start(row, g - g, levels, g)  # a zero that is not a literal: a literal would cause another compilation
+                _measure(row, 1.0 / count[i], columns[i, 0], lanes)
             else:
                 for n in range(12 * LANES):
-                    w[6 * LANES + n] = table[step[i], g, n]
-                _step_and_measure(w, 1.0 / count[i], columns[i, 0], lanes)
+                    row[6 * LANES + n] = table[step[i], g, n]
+                _step_and_measure(row, 1.0 / count[i], columns[i, 0], lanes)
             for m in range(g * LANES, min((g + 1) * LANES, M)):
                 at = m % LANES
-                variances[m, i], root = w[88 + at], w[108 + at]
+                variances[m, i], root = row[88 + at], row[108 + at]
                 if m == 0:
-                    out[i, 0] = w[104 + at] * root
+                    out[i, 0] = row[104 + at] * root
                 else:
-                    others[m - 1, i, 0] = w[104 + at] * root
+                    others[m - 1, i, 0] = row[104 + at] * root
                 if m < kept:
-                    gains[m, i, 0], gains[m, i, 1], gains[m, i, 2] = w[76 + at], w[80 + at], w[84 + at]
+                    gains[m, i, 0], gains[m, i, 1], gains[m, i, 2] = row[76 + at], row[80 + at], row[84 + at]
                     gains[m, i, 3] = root
     for m in range(kept):
         n = C if m == 0 else few
         for first in range(1, n, WIDTH):
             last, to = min(first + WIDTH, n), out if m == 0 else others[m - 1]
-            _pass_axis(first, last, step, fresh, table, m // LANES, m % LANES, gains[m], columns, z, to)
+            _pass_axis(
+                first, last, step, fresh, table, m // LANES, m % LANES, gains[m], columns, z[m, first // WIDTH], to
+            )
 
 
 # x and y: slots 0 to 5 and 6 to 11 hold the upper triangles of the covariances of x and of y, 12 to 20 that of x with
@@ -375,14 +413,14 @@ def _pass_plane(
         last: One past the last, at most `WIDTH` after it.
         step: Shape (B,).
         fresh: Shape (B,).
-        turn: Cosine and sine of half the turn that leads to each block, shape (B, 2).
+        turn: From `turns`, shape (B, 4).
         tx: From `_fill_tables` for x.
         ty: From `_fill_tables` for y.
         g: Index of the group.
         at: Index of the lane.
         gain: Gains of a position of x, of one of y, and one over their standard deviations, shape (B, 14).
         along: Columns in the heading frame, shape (B, 2, C).
-        z: Work space for the states, 6 slots of `WIDTH` columns each.
+        z: The states, 6 slots of `WIDTH` columns each, and work space of 2 more.
         out: Filled with standardised innovations, shape (B, 2, C).
     """
     for i in range(step.size):
@@ -397,6 +435,8 @@ def _pass_plane(
         if fresh[i]:
             for j in range(6 * WIDTH):
                 z[j] = 0.0
+        for j in range(last - first):  # through slots of `z`: with more arrays the compiler would not vectorise
+            z[192 + j], z[224 + j] = along[i, 0, first + j], along[i, 1, first + j]
         for j in range(last - first):
             p, v, a = z[j], z[32 + j], z[64 + j]
             q, u, b = z[96 + j], z[128 + j], z[160 + j]
@@ -404,16 +444,32 @@ def _pass_plane(
             p, v, a = p + x01 * v + x02 * a, x11 * v + x12 * a, x21 * v + x22 * a
             q, u, b = q + y01 * u + y02 * b, y11 * u + y12 * b, y21 * u + y22 * b
             p, q, v, u, a, b = c * p + s * q, c * q - s * p, c * v + s * u, c * u - s * v, c * a + s * b, c * b - s * a
-            e = along[i, 0, first + j] - p
-            f = along[i, 1, first + j] - (q + g3 * e)
-            out[i, 0, first + j], out[i, 1, first + j] = e * root_x, f * root_y
+            e = z[192 + j] - p
+            f = z[224 + j] - (q + g3 * e)
+            z[192 + j], z[224 + j] = e * root_x, f * root_y
             z[j], z[32 + j], z[64 + j] = p + g0 * e + h0 * f, v + g1 * e + h1 * f, a + g2 * e + h2 * f
             z[96 + j], z[128 + j], z[160 + j] = q + g3 * e + h3 * f, u + g4 * e + h4 * f, b + g5 * e + h5 * f
+        for j in range(last - first):
+            out[i, 0, first + j], out[i, 1, first + j] = z[192 + j], z[224 + j]
+
+
+def turns(yaw: Array, fresh: Mask) -> Array:
+    """Cosine and sine of half the turn that leads to each block, and of the heading there, shape (B, 4)."""
+    half = np.where(fresh, 0.0, 0.5 * np.diff(yaw, prepend=yaw[:1]))
+    return np.column_stack([np.cos(half), np.sin(half), np.cos(yaw), np.sin(yaw)])
 
 
 def whiten_plane(
     steps: Array, step: Indices, count: Array, fresh: Mask, yaw: Array, columns: Array, levels: Array, few: int
 ) -> tuple[Array, Array, Array]:
+    """All pieces of `plane_pieces` together, at headings `yaw` (B,) [rad]: (B, 2, C), (M - 1, B, 2, few), (M, B, 2)."""
+    pieces = plane_pieces(steps, step, count, fresh, turns(yaw, fresh), columns, levels, few)
+    return _joined(pieces)
+
+
+def plane_pieces(
+    steps: Array, step: Indices, count: Array, fresh: Mask, turn: Array, columns: Array, levels: Array, few: int
+) -> Iterator[Piece]:
     """Filters horizontal columns with M six-state filters that rotate with the heading.
 
     Args:
@@ -421,82 +477,88 @@ def whiten_plane(
         step: Index of the step that leads to each block, shape (B,).
         count: Poses in each block, shape (B,).
         fresh: True where a segment starts, shape (B,).
-        yaw: Heading at the blocks, shape (B,) [rad].
+        turn: From `turns`, shape (B, 4).
         columns: Data and sensitivities in the world frame, shape (B, 2, C).
         levels: q, r, alpha, kappa of x and y of the heading frame, of each filter, shape (M, 2, 4).
         few: Number of columns for the filters after the first, at least one; the first filters all.
 
-    Returns:
-        Innovations over their standard deviation, forward then left, of the first filter, (B, 2, C), and of the others,
-        (M - 1, B, 2, few); and the innovation variances, (M, B, 2).
+    Yields:
+        The blocks of the piece, b of them; innovations over their standard deviation, forward then left, of the first
+        filter, (b, 2, C), and of the others, (M - 1, b, 2, few); and the innovation variances, (M, b, 2).
     """
     (B, _, C), M = columns.shape, len(levels)
-    out, others, variances = np.empty((B, 2, C)), np.empty((M - 1, B, 2, few)), np.empty((M, B, 2))
-    _whiten_plane(
-        steps, step, count, fresh, yaw, np.ascontiguousarray(columns), np.ascontiguousarray(levels.transpose(1, 0, 2)),
-        LANES, np.empty((3, 3)), np.empty((3, 3)), np.empty((2, steps.size, _groups(levels), 12 * LANES)),
-        np.zeros(71 * LANES), np.empty((M if few > 1 else 1, B, 14)), np.empty(6 * WIDTH), np.empty((B, 2, C)),
-        np.empty((B, 2)),
-        out, others, variances,
-    )  # fmt: skip
-    return out, others, variances
+    b, G, kept = min(B, PIECE), _groups(levels), M if few > 1 else 1
+    columns, levels = np.ascontiguousarray(columns), np.ascontiguousarray(levels.transpose(1, 0, 2))
+    F, Q, tables = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, steps.size, G, 12 * LANES))
+    w, gains, z = np.zeros((G, 71 * LANES)), np.empty((kept, b, 14)), np.empty((kept, -(-C // WIDTH), 8 * WIDTH))
+    along, out = np.empty((b, 2, C)), np.empty((b, 2, C))
+    others, variances = np.empty((M - 1, b, 2, few)), np.empty((M, b, 2))
+    for at in _pieces(B):
+        _whiten_plane(
+            steps, step[at], count[at], fresh[at], turn[at], columns[at], levels, LANES, at.start == 0, F, Q, tables, w,
+            gains, z, along, out, others, variances,
+        )  # fmt: skip
+        n = at.stop - at.start
+        yield at, out[:n], others[:, :n], variances[:, :n]
 
 
 @kernel(fastmath={"contract"})
 def _whiten_plane(
-    steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array, lanes: int, F: Array,
-    Q: Array, tables: Array, w: Array, gains: Array, z: Array, along: Array, turn: Array, out: Array, others: Array,
-    variances: Array,
+    steps: Array, step: Any, count: Array, fresh: Any, turn: Array, columns: Array, levels: Array, lanes: int,
+    first_piece: bool, F: Array, Q: Array, tables: Array, w: Array, gains: Array, z: Array, along: Array, out: Array,
+    others: Array, variances: Array,
 ) -> None:  # fmt: skip
-    """The compiled loop, like `_whiten_axis`; `levels` has shape (2, M, 4)."""
+    """The compiled loop over one piece, like `_whiten_axis`; `levels` has shape (2, M, 4)."""
     B, C, M, few, kept = columns.shape[0], columns.shape[2], levels.shape[1], others.shape[3], gains.shape[0]
-    for a in range(2):
-        _fill_tables(steps, levels[a], F, Q, tables[a])
+    if first_piece:
+        for a in range(2):
+            _fill_tables(steps, levels[a], F, Q, tables[a])
     tx, ty = tables[0], tables[1]
     for i in range(B):
-        half = 0.0 if fresh[i] else 0.5 * (yaw[i] - yaw[i - 1])
-        turn[i, 0], turn[i, 1] = np.cos(half), np.sin(half)
-        c, s = np.cos(yaw[i]), np.sin(yaw[i])
+        c, s = turn[i, 2], turn[i, 3]
         for j in range(C):
             x, y = columns[i, 0, j], columns[i, 1, j]
             along[i, 0, j], along[i, 1, j] = c * x + s * y, c * y - s * x
     for g in range(tx.shape[1]):
+        row = w[g]
         for a in range(2):
             for m in range(LANES):
-                w[(45 + a) * LANES + m] = levels[a, min(g * LANES + m, M - 1), 1]
+                row[(45 + a) * LANES + m] = levels[a, min(g * LANES + m, M - 1), 1]
         for i in range(B):
             if fresh[i]:
                 for n in range(21 * LANES):
-                    w[n] = 0.0
+                    row[n] = 0.0
                 for n in range(61 * LANES, 67 * LANES):
-                    w[n] = 0.0
+                    row[n] = 0.0
                 for a in range(2):
-                    _start(w, 6 * a, levels[a], g)
+                    _start(row, 6 * a, levels[a], g)
             else:
                 for n in range(12 * LANES):
-                    w[21 * LANES + n] = tx[step[i], g, n]
-                    w[33 * LANES + n] = ty[step[i], g, n]
+                    row[21 * LANES + n] = tx[step[i], g, n]
+                    row[33 * LANES + n] = ty[step[i], g, n]
                 c, s = turn[i, 0], turn[i, 1]
                 if s != 0.0:
-                    _turn(w, c, s, lanes)
-                _step_plane(w, lanes)
+                    _turn(row, c, s, lanes)
+                _step_plane(row, lanes)
                 if s != 0.0:
-                    _turn(w, c, s, lanes)
-            _measure_plane(w, 1.0 / count[i], along[i, 0, 0], along[i, 1, 0], lanes)
+                    _turn(row, c, s, lanes)
+            _measure_plane(row, 1.0 / count[i], along[i, 0, 0], along[i, 1, 0], lanes)
             for m in range(g * LANES, min((g + 1) * LANES, M)):
                 for a in range(2):
-                    variances[m, i, a], root = w[(59 + a) * LANES + m % LANES], w[(69 + a) * LANES + m % LANES]
+                    variances[m, i, a], root = row[(59 + a) * LANES + m % LANES], row[(69 + a) * LANES + m % LANES]
                     if m == 0:
-                        out[i, a, 0] = w[(67 + a) * LANES + m % LANES] * root
+                        out[i, a, 0] = row[(67 + a) * LANES + m % LANES] * root
                     else:
-                        others[m - 1, i, a, 0] = w[(67 + a) * LANES + m % LANES] * root
+                        others[m - 1, i, a, 0] = row[(67 + a) * LANES + m % LANES] * root
                     if m < kept:
                         gains[m, i, 12 + a] = root
                 if m < kept:
                     for n in range(12):
-                        gains[m, i, n] = w[(47 + n) * LANES + m % LANES]
+                        gains[m, i, n] = row[(47 + n) * LANES + m % LANES]
     for m in range(kept):
         n = C if m == 0 else few
         for first in range(1, n, WIDTH):
             last, to = min(first + WIDTH, n), out if m == 0 else others[m - 1]
-            _pass_plane(first, last, step, fresh, turn, tx, ty, m // LANES, m % LANES, gains[m], along, z, to)
+            _pass_plane(
+                first, last, step, fresh, turn, tx, ty, m // LANES, m % LANES, gains[m], along, z[m, first // WIDTH], to
+            )

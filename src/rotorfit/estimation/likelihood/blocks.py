@@ -15,6 +15,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.laws import DELAY_RANGE, Measured
 from rotorfit.dynamics.disturbance import distinct_steps
+from rotorfit.dynamics.whitening import turns
 
 BLOCK_RATE = 30.0
 """Rate of the blocks over which poses and their modelled response are averaged [1/s]. At the full rate of a mocap
@@ -101,6 +102,11 @@ class Record:
     def segment(self) -> Indices:
         """Index of the segment of each block, shape (B,)."""
         return np.cumsum(self.fresh) - 1
+
+    @cached_property
+    def turn(self) -> Array:
+        """Turns and headings of the blocks, see `whitening.turns`, shape (B, 4)."""
+        return turns(self.block_yaw, self.fresh)
 
     @cached_property
     def switches(self) -> tuple[Array, Array, Indices]:

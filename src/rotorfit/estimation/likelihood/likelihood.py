@@ -7,7 +7,7 @@ sensitivities pass through the gains of one filter, so the gradient costs one pa
 
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from rotorfit.dynamics.horizontal_response import horizontal_response
 from rotorfit.dynamics.lagged_response import lagged_axis_response
 from rotorfit.dynamics.response import axis_response
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
-from rotorfit.dynamics.whitening import LANES, whiten_axis, whiten_plane
+from rotorfit.dynamics.whitening import Piece, axis_pieces, plane_pieces
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.parameters import Point
 
@@ -151,8 +151,8 @@ def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
     Returns:
         Standardised rows (B, C, K), x and y in the heading frame, and variances (B, K).
     """
-    rows, _, variance = _filtered(rec, np.ascontiguousarray(columns.transpose(0, 2, 1)), levels[None], 0)
-    return rows.transpose(0, 2, 1), variance[0]
+    rows, _, variance = whiten_under(rec, columns, levels[None])
+    return rows, variance[0]
 
 
 def whiten_under(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array, Array]:
@@ -166,13 +166,15 @@ def whiten_under(rec: Record, columns: Array, levels: Array) -> tuple[Array, Arr
     Returns:
         Rows (B, C, K), the first column (M, B, K), and the variances (M, B, K).
     """
-    rows, others, variance = _filtered(rec, np.ascontiguousarray(columns.transpose(0, 2, 1)), levels, 1)
-    first = np.concatenate([rows[None, :, :, 0], others[:, :, :, 0]])
-    return rows.transpose(0, 2, 1), first, variance
+    B, C, K = columns.shape
+    rows, first, variances = np.empty((B, K, C)), np.empty((len(levels), B, K)), np.empty((len(levels), B, K))
+    for at, own, others, variance in _filtered(rec, columns.transpose(0, 2, 1), levels, 1):
+        rows[at], first[0, at], first[1:, at], variances[:, at] = own, own[:, :, 0], others[:, :, :, 0], variance
+    return rows.transpose(0, 2, 1), first, variances
 
 
-def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Array, Array, Array]:
-    """Passes columns through filters of several levels.
+def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> Iterator[Piece]:
+    """Passes columns through filters of several levels, piece by piece.
 
     Args:
         rec: The flight.
@@ -180,22 +182,23 @@ def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Arr
         levels: Log levels, shape (M, K, L).
         few: Number of columns for all filters but the first, which takes all of them.
 
-    Returns:
-        Rows of the first filter (B, K, C), x, y in the heading frame, those of the others (M - 1, B, K, few), and the
-        variances (M, B, K).
+    Yields:
+        The blocks of the piece, b of them, rows of the first filter (b, K, C), x and y in the heading frame, those of
+        the others (M - 1, b, K, few), and the variances (M, b, K).
     """
     values = np.exp(levels)
-    common = (rec.steps, rec.step, rec.count, rec.fresh)
     if rec.rate is not None:
         turned = columns.transpose(0, 2, 1)
         passed = [fused(rec, turned if m == 0 else turned[:, :few], one) for m, one in enumerate(values)]
         rows = [part.transpose(0, 2, 1) for part, _ in passed]
         others = np.array(rows[1:]).reshape(len(rows) - 1, *columns.shape[:2], few)
-        return rows[0], others, np.array([variance for _, variance in passed])
-    if len(rec.axes) == 2:
-        return whiten_plane(*common, rec.block_yaw, columns, values, few)
-    first, others, variance = whiten_axis(*common, columns[:, 0], values[:, 0], few)
-    return first[:, None], others[:, :, None], variance[:, :, None]
+        yield slice(0, len(columns)), rows[0], others, np.array([variance for _, variance in passed])
+    elif len(rec.axes) == 2:
+        yield from plane_pieces(rec.steps, rec.step, rec.count, rec.fresh, rec.turn, columns, values, few)
+    else:
+        alone = axis_pieces(rec.steps, rec.step, rec.count, rec.fresh, columns[:, 0], values[:, 0], few)
+        for at, first, others, variance in alone:
+            yield at, first[:, None], others[:, :, None], variance[:, :, None]
 
 
 def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) -> tuple[Array, Array]:
@@ -324,40 +327,47 @@ def score(
     """
     K, n, L = point.gain.size, point.n, point.levels.size
     information, gradient = np.zeros((n + L, n + L)), np.zeros(n + L)
-    slopes = _Slopes.none(n, L if isinstance(restricted, Restriction) else 0)
+    exact = isinstance(restricted, Restriction)
+    slopes = _Slopes.none(n, L if exact else 0)
     log_likelihood, innovations = 0.0, []
     levels, looked = _changed(point) if restricted is not None else (point.levels[None], [])
     for j, (rec, at) in enumerate(_flights(records)):
         mean, sensitivity = response(rec, point, j, point.start[at])
-        residual = (rec.position - mean)[:, :, None]
-        columns = np.concatenate([residual, sensitivity.transpose(0, 2, 1)], axis=2)
-        first, others, variance = _filtered(rec, columns, levels, 1)
-        del columns, sensitivity
-        rows, log_variance = first.reshape(rec.count.size * K, -1), np.log(variance).reshape(len(levels), -1)
-        parts = _parts(rec, point, j, at)
-        for where, part in parts:
-            product = rows[part].T @ rows[part]
-            information[where[:, None], where] += product[1:, 1:]
-            gradient[where] += product[1:, 0]
-            log_likelihood -= 0.5 * float(product[0, 0])
-        log_likelihood -= 0.5 * float(log_variance[0].sum() + log_variance[0].size * np.log(2 * np.pi))
-        e = rows[:, 0]
-        innovations.append(e.reshape(-1, K))
-        if restricted is None:
-            continue
-        d_innovation, d_log_variance = np.empty((2, L, e.size))
-        d_innovation[looked] = (others.reshape(len(looked), -1) - e) / LEVEL_STEP
-        d_log_variance[looked] = (log_variance[1:] - log_variance[0]) / LEVEL_STEP
-        if 0 not in looked:  # see `_changed`
-            later, scales = np.repeat(~rec.fresh, K), _scales(K)[1:]
-            d_innovation[0] = -0.5 * e * later - d_innovation[scales].sum(axis=0)
-            d_log_variance[0] = later - d_log_variance[scales].sum(axis=0)
-        raw = d_innovation + 0.5 * e * d_log_variance
-        information[n:, n:] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
-        gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
+        columns = [(rec.position - mean)[:, None], sensitivity]
         if isinstance(restricted, Restriction):
-            fixed = np.concatenate([residual, restricted.sensitivities[j].transpose(0, 2, 1)], axis=2)
-            slopes.add(rec, fixed, 1, levels, looked, parts)
+            columns.insert(1, restricted.sensitivities[j])
+        few = 1 + (columns[1].shape[1] if exact else 0)
+        own = np.array([0, *range(few, few + sensitivity.shape[1])])
+        innovations.append(np.empty((rec.count.size, K)))
+        places = _places(rec, point, j, at)
+        for piece, rows, others, variance in _filtered(
+            rec, np.concatenate(columns, axis=1).transpose(0, 2, 1), levels, few
+        ):
+            log_variance = np.log(variance).reshape(len(levels), -1)
+            for where, part in _parts(rec, places, piece):
+                product = _gram(rows[part])
+                among = product[own[:, None], own]
+                information[where[:, None], where] += among[1:, 1:]
+                gradient[where] += among[1:, 0]
+                log_likelihood -= 0.5 * float(among[0, 0])
+                if exact:
+                    base, changed = product[:few, :few], [_gram(one[part]) for one in others]
+                    slopes.add(where, base, changed, looked, K)
+            log_likelihood -= 0.5 * float(log_variance[0].sum() + log_variance[0].size * np.log(2 * np.pi))
+            innovations[-1][piece] = rows[:, :, 0]
+            if restricted is None:
+                continue
+            e = rows[:, :, 0].ravel()
+            d_innovation, d_log_variance = np.empty((2, L, e.size))
+            d_innovation[looked] = (others[:, :, :, 0].reshape(len(looked), -1) - e) / LEVEL_STEP
+            d_log_variance[looked] = (log_variance[1:] - log_variance[0]) / LEVEL_STEP
+            if 0 not in looked:  # see `_changed`
+                later, scales = np.repeat(~rec.fresh[piece], K), _scales(K)[1:]
+                d_innovation[0] = -0.5 * e * later - d_innovation[scales].sum(axis=0)
+                d_log_variance[0] = later - d_log_variance[scales].sum(axis=0)
+            raw = d_innovation + 0.5 * e * d_log_variance
+            information[n:, n:] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
+            gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
     linear = restricted if isinstance(restricted, LinearAdjustment) else None
     if isinstance(restricted, Restriction):
         linear = slopes.adjustment(point.levels.ravel(), restricted.active)
@@ -368,6 +378,12 @@ def score(
     return LikelihoodScore(
         log_likelihood, adjustment, gradient, information, slopes.slopes, slopes.cross, tuple(innovations), linear
     )
+
+
+def _gram(rows: Array) -> Array:
+    """Products of the columns of rows (b, K, C) with each other, shape (C, C)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    return flat.T @ flat
 
 
 def _scales(K: int) -> list[int]:
@@ -407,46 +423,28 @@ class _Slopes:
         """Those of no flight, for n parameters and L levels."""
         return cls(np.zeros((n, n)), np.zeros((L, n, n)), np.zeros((n, L)))
 
-    def add(
-        self,
-        rec: Record,
-        columns: Array,
-        residuals: int,
-        levels: Array,
-        looked: Sequence[int],
-        parts: Sequence[tuple[Indices, slice]],
-    ) -> None:
-        """Adds a flight.
+    def add(self, where: Indices, base: Array, changed: Sequence[Array], looked: Sequence[int], K: int) -> None:
+        """Adds a stretch of blocks.
 
         Args:
-            rec: The flight.
-            columns: Residual, where `residuals` is 1, and fixed sensitivities, shape (B, K, C).
-            residuals: Number of columns before the sensitivities.
-            levels: Log levels, and those with each of `looked` changed, shape (M, K, L); filtered some at a time.
-            looked: See `_changed`; empty for the information alone.
-            parts: From `_parts`.
+            where: Places of its columns among all parameters.
+            base: Products of residual and fixed sensitivities, whitened, shape (C, C).
+            changed: The same with each of the levels `looked` changed.
+            looked: See `_changed`.
+            K: Number of axes.
         """
-        r, C, scaling = residuals, columns.shape[2], bool(looked) and 0 not in looked
-        base: list[Array] = []
-        for low in range(0, len(levels), LANES):
-            first, others, _ = _filtered(rec, columns, levels[low : low + LANES], C)
-            for m, there in enumerate([first, *others], low):
-                rows = there.reshape(-1, C)
-                products = [rows[part].T @ rows[part] for _, part in parts]
-                base = base or products
-                for (where, _), product, own in zip(parts, products, base, strict=True):
-                    if m == 0:
-                        self.projected[where[:, None], where] += product[r:, r:]
-                        if scaling:  # minus the gradient; the shares of the other levels are subtracted below
-                            self.slopes[0][where[:, None], where] -= product[r:, r:]
-                            self.cross[where, 0] -= product[r:, 0]
-                        continue
-                    change, i = (product - own) / LEVEL_STEP, looked[m - 1]
-                    self.slopes[i][where[:, None], where] += change[r:, r:]
-                    self.cross[where, i] += change[r:, 0]
-                    if scaling and i in _scales(columns.shape[1]):
-                        self.slopes[0][where[:, None], where] -= change[r:, r:]
-                        self.cross[where, 0] -= change[r:, 0]
+        square, scaling = (where[:, None], where), 0 not in looked
+        self.projected[square] += base[1:, 1:]
+        if scaling:  # all scales together; the shares of the others are subtracted below
+            self.slopes[0][square] -= base[1:, 1:]
+            self.cross[where, 0] -= base[1:, 0]
+        for i, product in zip(looked, changed, strict=True):
+            change = (product - base) / LEVEL_STEP
+            self.slopes[i][square] += change[1:, 1:]
+            self.cross[where, i] += change[1:, 0]
+            if scaling and i in _scales(K):
+                self.slopes[0][square] -= change[1:, 1:]
+                self.cross[where, 0] -= change[1:, 0]
 
     def adjustment(self, levels: Array, active: Mask) -> LinearAdjustment:
         """The adjustment at log levels (L K,), to first order."""
@@ -457,24 +455,30 @@ class _Slopes:
         )
 
 
-def _parts(rec: Record, point: Point, flight: int, at: slice) -> list[tuple[Indices, slice]]:
-    """For each segment of a flight, the places of its columns among all parameters, and its entries of (B K,)."""
+def _places(rec: Record, point: Point, flight: int, at: slice) -> list[Indices]:
+    """For each segment of a flight, the places of its columns among all parameters."""
     K, first = point.gain.size, point.coefficients
     shared = [*range(first), *range(first + flight * K, first + (flight + 1) * K)]
     start = first + point.trim.size + at.start * K
-    ends = [*(int(i) * K for i in np.flatnonzero(rec.fresh)), rec.count.size * K]
-    return [
-        (np.array([*shared, *range(start + s * K, start + (s + 1) * K)]), slice(low, high))
-        for s, (low, high) in enumerate(itertools.pairwise(ends))
-    ]
+    return [np.array([*shared, *range(start + s * K, start + (s + 1) * K)]) for s in range(rec.starts.size)]
+
+
+def _parts(rec: Record, places: Sequence[Indices], piece: slice) -> list[tuple[Indices, slice]]:
+    """For each segment with blocks in a piece: places of its columns, and its blocks, counted in the piece."""
+    number = rec.segment[piece]
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    ends = [*first[1:].tolist(), number.size]
+    return [(places[number[low]], slice(int(low), high)) for low, high in zip(first, ends, strict=True)]
 
 
 def adjustment(records: Sequence[Record], point: Point, restricted: Restriction) -> float:
     """The adjustment of the restricted likelihood alone, exactly."""
     found = _Slopes.none(point.n, 0)
     for j, (rec, at) in enumerate(_flights(records)):
-        fixed = np.ascontiguousarray(restricted.sensitivities[j].transpose(0, 2, 1))
-        found.add(rec, fixed, 0, point.levels[None], [], _parts(rec, point, j, at))
+        places = _places(rec, point, j, at)
+        for piece, rows, _, _ in _filtered(rec, restricted.sensitivities[j].transpose(0, 2, 1), point.levels[None], 1):
+            for where, part in _parts(rec, places, piece):
+                found.projected[where[:, None], where] += _gram(rows[part])
     return found.adjustment(point.levels.ravel(), restricted.active).value
 
 
