@@ -8,10 +8,13 @@ import pytest
 from flights import by_hand, flown, steps, turned
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
-from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.estimation.likelihood import law_search
+from rotorfit.core.laws import DELAY_RANGE, start_levels
+from rotorfit.estimation.likelihood import stretches
+from rotorfit.estimation.likelihood.axis_estimate import free_of
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE, Record, record
+from rotorfit.estimation.likelihood.fisher_scoring import approached, maximise
 from rotorfit.estimation.likelihood.law_search import thinned_record
+from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.simulation.paper_vehicle import Truth
 
 
@@ -127,8 +130,8 @@ def test_a_long_record_is_searched_in_stretches_with_the_commands_that_act_in_th
 ) -> None:
     rec = whole(flown(Truth(), steps(), 60.0), ("x", "y"))
     everything = thinned_record(rec)
-    monkeypatch.setattr(law_search, "SEARCHED", 12.0)
-    monkeypatch.setattr(law_search, "STRETCH", 3.0)
+    monkeypatch.setattr(stretches, "SEARCHED", 12.0)
+    monkeypatch.setattr(stretches, "STRETCH", 3.0)
     some = thinned_record(rec)
 
     assert everything.starts.size == 1
@@ -141,3 +144,33 @@ def test_a_long_record_is_searched_in_stretches_with_the_commands_that_act_in_th
         low, high = some.command_range[number]
         assert some.command_time[low] <= max(some.starts[number] - DELAY_RANGE[1], some.command_time[0])
         assert some.command_time[high - 1] <= some.block_time[last - 1] - DELAY_RANGE[0]
+
+
+def test_stretches_of_a_record_keep_its_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    rec = whole(flown(Truth(), steps(), 60.0), ("x", "y"))
+    assert stretches.stretches(rec) is rec
+    monkeypatch.setattr(stretches, "SEARCHED", 12.0)
+    monkeypatch.setattr(stretches, "STRETCH", 3.0)
+    some = stretches.stretches(rec)
+
+    np.testing.assert_array_equal(np.bincount(some.block), some.count)
+    np.testing.assert_allclose(np.bincount(some.block, some.pose_time) / some.count, some.block_time, rtol=1e-12)
+    assert np.isin(some.pose_time, rec.pose_time).all()
+    assert some.pose_range[:, 0].tolist() == [0, *some.pose_range[:-1, 1]]
+    assert some.pose_range[-1, 1] == some.pose_time.size
+    np.testing.assert_array_equal(some.starts, some.pose_time[some.pose_range[:, 0]])
+
+
+def test_a_climb_over_a_long_flight_may_begin_on_stretches_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    records = [whole(flown(Truth(), steps(("z",)), 60.0), ("z",))]
+    start = start_point(records, 0.3, 4.0, start_levels("position")[None])
+    free = free_of(records, [True])
+    assert approached(records, start, free) is start
+    monkeypatch.setattr(stretches, "SEARCHED", 24.0)
+    monkeypatch.setattr(stretches, "STRETCH", 8.0)
+    begun, top = approached(records, start, free), maximise(records, start, free)
+
+    np.testing.assert_array_equal(begun.start, start.start)
+    error = np.sqrt(np.diag(top.covariance))[:3]
+    assert (np.abs(begun.flat() - top.point.flat())[:3] < 6 * error).all()
+    assert (np.abs(start.flat() - top.point.flat())[:3] > 6 * error).all()

@@ -20,6 +20,7 @@ from rotorfit.estimation.likelihood.likelihood import (
 )
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
+from rotorfit.estimation.likelihood.stretches import stretches
 
 LEVEL_DAMPING = 0.1
 """Added to the information of each level to limit the step in directions in which the likelihood is flat."""
@@ -39,6 +40,12 @@ MOST_TRIES = 8
 SECANT_BELOW = 20.0
 """Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
 
+
+SHORTER = 0.5
+"""Share of the blocks below which it pays to climb first on stretches of the flights..."""
+
+NEAR_ENOUGH = 0.1
+"""... and expected gain in log-likelihood at which that climb stops."""
 
 LINEAR = 0.3
 """Largest change of a log level over which the adjustment is taken to first order. Over longer ones a climb can go to
@@ -187,6 +194,27 @@ def maximise(
         inverse = _secant(inverse, trial.flat() - point.flat(), fall)
         point, best = trial, result
     return Optimum(point, objective.settled(best, point), free, restricted, inverse, gain, passes, prior)
+
+
+def approached(records: Sequence[Record], point: Point, free: Mask, prior: GaussianPrior | None = None) -> Point:
+    """A start nearer to the maximum, climbed on stretches of long flights; the point itself for others.
+
+    A climb is mostly the way to the neighbourhood of the maximum, which a part of the data shows as well.
+
+    Args:
+        records: The flights.
+        point: Where to start; its start velocities are kept.
+        free: True for the parameters that may move, all start velocities among them.
+        prior: Added to the objective.
+    """
+    short = [stretches(rec) for rec in records]
+    if sum(rec.count.size for rec in short) > SHORTER * sum(rec.count.size for rec in records):
+        return point
+    parts, (K, L) = sum(rec.starts.size for rec in short), point.levels.shape
+    begin = replace(point, start=np.zeros((parts, K)))
+    moving = np.concatenate([free[: point.n - point.start.size], np.ones(parts * K, bool), free[-K * L :]])
+    found = maximise(short, begin, moving, tolerance=NEAR_ENOUGH, prior=prior).point
+    return replace(found, start=point.start)
 
 
 def climb(

@@ -20,7 +20,7 @@ from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Predi
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, maximise_restricted
 from rotorfit.estimation.likelihood.coefficients import covariances, statuses, unfinished
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, extra_status, structure_at
-from rotorfit.estimation.likelihood.fisher_scoring import Optimum
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached
 from rotorfit.estimation.likelihood.law_selection import effective_samples
 from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
 from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
@@ -126,6 +126,7 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
         K = optimum.point.gain.size
         moving = [bool(optimum.free[k]) for k in range(K)]
         if id(optimum) not in found:
+            start = approached(estimate.records, start, optimum.free, optimum.prior)
             again = maximise_restricted(estimate.records, start, moving, optimum.prior)
             better = again.score.log_likelihood > optimum.score.log_likelihood + 1.0 and not _inverted(again)
             found[id(optimum)] = again if better else optimum

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices
-from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, LAG, ZERO, Structure
+from rotorfit.core.laws import FIRST_ORDER_DELAY, LAG, ZERO, Structure
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.estimation.likelihood.axis_estimate import free_of
 from rotorfit.estimation.likelihood.blocks import Record
@@ -23,6 +23,7 @@ from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.likelihood import inverted, score
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
+from rotorfit.estimation.likelihood.stretches import stretches
 
 DELAYS = (0.0, 0.08, 0.18, 0.3, 0.45)
 
@@ -38,13 +39,6 @@ EVERY = 3
 
 COMMAND_TIME = 0.08
 """Commands at shorter intervals are averaged over this time [s]."""
-
-SEARCHED, STRETCH = 300.0, 30.0
-"""Total length of a longer record that is searched, and length of the evenly spaced stretches of which it consists [s]:
-the nodes of the grid are far apart, and the final climb uses the whole record."""
-
-LEAST = 10
-"""Smallest number of blocks in a stretch."""
 
 CLIMBED = 4
 """Number of nodes that are climbed: the best ones, without those near a better one."""
@@ -195,48 +189,7 @@ def thinned_record(rec: Record) -> Record:
         command=command,
         size=np.ones(keep.size),
     )
-    return _stretches(thinned)
-
-
-def _stretches(rec: Record) -> Record:
-    """The stretches of a thinned record that are searched, each as a segment of its own."""
-    time, segment = rec.block_time, np.cumsum(rec.fresh) - 1
-    ends = np.append(np.flatnonzero(rec.fresh), time.size)
-    every = STRETCH / SEARCHED * float(np.sum(time[ends[1:] - 1] - rec.starts))
-    if every <= STRETCH:
-        return rec
-    since = time - rec.starts[segment]
-    place = np.unique(np.column_stack([segment, since // every]), axis=0, return_inverse=True)[1].ravel()
-    inside = since % every < STRETCH
-    keep = np.flatnonzero(inside & (np.bincount(place, inside) >= LEAST)[place])
-    if not keep.size:
-        return rec
-    number = np.unique(place[keep], return_inverse=True)[1]
-    fresh = np.diff(number, prepend=-1) > 0
-    first = np.flatnonzero(fresh)
-    last = np.append(first[1:], keep.size)
-    starts = np.maximum(time[keep[first]], rec.starts[segment[keep[first]]])
-    low, high = rec.command_range[segment[keep[first]]].T
-    acting = np.searchsorted(rec.command_time, starts - DELAY_RANGE[1], side="right") - 1
-    over = np.searchsorted(rec.command_time, time[keep[last - 1]] - DELAY_RANGE[0])
-    steps, step = distinct_steps(time[keep])
-    return replace(
-        rec,
-        starts=starts,
-        pose_range=np.column_stack([first, last]),
-        command_range=np.column_stack([np.clip(acting, low, high), np.clip(over, low, high)]),
-        pose_time=time[keep],
-        yaw=rec.yaw[keep],
-        block=np.arange(keep.size),
-        count=rec.count[keep],
-        block_time=time[keep],
-        steps=steps,
-        step=step,
-        block_yaw=rec.block_yaw[keep],
-        position=rec.position[keep] - rec.position[keep[first]][number],
-        fresh=fresh,
-        size=np.ones(keep.size),
-    )
+    return stretches(thinned)
 
 
 def _thinned_commands(rec: Record) -> tuple[Array, Array, Indices]:

@@ -10,7 +10,7 @@ from rotorfit.core.laws import LEVELS_OF, start_levels
 from rotorfit.core.model import Axis, Predictor
 from rotorfit.estimation.likelihood.axis_estimate import free_of
 from rotorfit.estimation.likelihood.blocks import Record, measured_by, record
-from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached, maximise
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import DAMPING_RANGE
 from rotorfit.estimation.likelihood.trims import new_trim_variance, trims_of
@@ -50,7 +50,8 @@ def _settled(
         log_damping=np.log(np.clip([point.damping for point in chosen], *DAMPING_RANGE)),
         delay=np.array([point.delay for point in chosen]),
     )
-    return group, records, maximise(records, start, free_of(records, [False] * len(group)))
+    free = free_of(records, [False] * len(group))
+    return group, records, maximise(records, approached(records, start, free), free)
 
 
 def with_levels(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> dict[str, Axis]:
