@@ -15,8 +15,9 @@ from rotorfit.core.laws import FIRST_ORDER_DELAY, START_LEVELS, STRUCTURES, stru
 from rotorfit.core.model import STRUCTURE, Axis, Model
 from rotorfit.dynamics.trajectory import simulate, state_space
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import record
-from rotorfit.estimation.likelihood.likelihood import response, restriction, score
+from rotorfit.estimation.likelihood.likelihood import restriction, score
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.simulation.paper_vehicle import Truth

@@ -10,13 +10,13 @@ from scipy.optimize import minimize
 
 from flights import flown, steps
 from rotorfit.core.laws import DELAY_RANGE, LEVEL_RANGE
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.likelihood import (
     adjustment,
     degrees_of_freedom,
     inverted,
     level_share,
-    response,
     restriction,
     score,
     segments,

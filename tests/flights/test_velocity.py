@@ -23,9 +23,10 @@ from rotorfit.dynamics.protocol import predict_flight
 from rotorfit.dynamics.velocity_fusion import whiten_fused
 from rotorfit.dynamics.whitening import whiten_axis, whiten_plane
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.latency import delay_error, latency_of
-from rotorfit.estimation.likelihood.likelihood import response, restriction, score
+from rotorfit.estimation.likelihood.likelihood import restriction, score
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.files.cards import card_from_mapping

@@ -10,8 +10,8 @@ from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Sines, Space, Steps
 from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Model
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import record
-from rotorfit.estimation.likelihood.likelihood import response
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.files.cards import load_card
 from rotorfit.planning.belief import Belief, belief_from_card, belief_mapping, levels_of

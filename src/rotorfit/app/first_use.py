@@ -111,8 +111,9 @@ def _likelihood(axes: tuple[str, ...], law: str) -> Callable[[], None]:
 
     def part() -> None:
         from rotorfit.core.laws import START_LEVELS, STRUCTURES
+        from rotorfit.estimation.likelihood.block_response import response
         from rotorfit.estimation.likelihood.blocks import record
-        from rotorfit.estimation.likelihood.likelihood import response, score
+        from rotorfit.estimation.likelihood.likelihood import score
         from rotorfit.estimation.likelihood.optima import start_point
         from rotorfit.estimation.likelihood.richer_laws import starts
 

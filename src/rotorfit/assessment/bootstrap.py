@@ -30,9 +30,10 @@ from rotorfit.dynamics.disturbance import (
     step_tables,
     update_covariance,
 )
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE, Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
-from rotorfit.estimation.likelihood.likelihood import fused, response, segments
+from rotorfit.estimation.likelihood.likelihood import fused, segments
 from rotorfit.estimation.likelihood.prior import redrawn
 
 COUNT = 200

@@ -31,9 +31,10 @@ from rotorfit.core.model import COEFFICIENTS, Combination
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, at_bound, maximise
-from rotorfit.estimation.likelihood.likelihood import inverted, response, score, segments, whiten
+from rotorfit.estimation.likelihood.likelihood import inverted, score, segments, whiten
 from rotorfit.estimation.likelihood.prior import with_prior
 from rotorfit.estimation.regression.paper import newey_west
 

@@ -30,9 +30,10 @@ from rotorfit.dynamics.protocol import (
     scores_of,
 )
 from rotorfit.estimation.grouping import without_held_axes
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
-from rotorfit.estimation.likelihood.likelihood import response, whiten
+from rotorfit.estimation.likelihood.likelihood import whiten
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.flights.distinct import check_distinct, check_flights

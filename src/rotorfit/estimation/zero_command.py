@@ -22,8 +22,9 @@ from rotorfit.core.results import Braking
 from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
-from rotorfit.estimation.likelihood.likelihood import response, segments, whiten
+from rotorfit.estimation.likelihood.likelihood import segments, whiten
 from rotorfit.estimation.likelihood.parameters import Point
 
 ZERO = 0.02

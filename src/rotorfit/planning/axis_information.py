@@ -23,8 +23,9 @@ from rotorfit.core.flight_plan import Feedback, Steps
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.dynamics.disturbance import distinct_steps
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE, Record
-from rotorfit.estimation.likelihood.likelihood import response, whiten
+from rotorfit.estimation.likelihood.likelihood import whiten
 from rotorfit.estimation.likelihood.parameters import Point
 
 EARLY = 1e-6

@@ -14,9 +14,10 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Indices
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras
-from rotorfit.estimation.likelihood.likelihood import response, whiten, whiten_under
+from rotorfit.estimation.likelihood.likelihood import whiten, whiten_under
 
 WINDOWS = (1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 """Lengths of the windows that are tested [s]."""

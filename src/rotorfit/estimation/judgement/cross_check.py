@@ -29,9 +29,10 @@ from rotorfit.estimation.judgement.refutation import REJECTED, Homogeneity, homo
 from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
 from rotorfit.estimation.judgement.spread_prior import spread_scale
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.estimand import Estimand
-from rotorfit.estimation.likelihood.likelihood import response, score, segments, whiten
+from rotorfit.estimation.likelihood.likelihood import score, segments, whiten
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.regression.paper import newey_west
 

@@ -23,8 +23,9 @@ import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.estimand import Estimand
-from rotorfit.estimation.likelihood.likelihood import inverted, response, segments, whiten
+from rotorfit.estimation.likelihood.likelihood import inverted, segments, whiten
 
 BANDWIDTH = 0.1
 """Half width of the smoothing in frequency [Hz]: as wide as the peak of a wobble, with many frequencies inside."""

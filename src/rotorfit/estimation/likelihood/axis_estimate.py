@@ -10,10 +10,11 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, Mask, heading_from_world, world_from_heading
 from rotorfit.core.laws import FIRST_ORDER_DELAY, Structure, start_levels
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, measured_by, record
 from rotorfit.estimation.likelihood.feedback import LoopEvidence, loop_evidence
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, climb, maximise
-from rotorfit.estimation.likelihood.likelihood import response, segments
+from rotorfit.estimation.likelihood.likelihood import segments
 from rotorfit.estimation.likelihood.optima import (
     CandidateOptimum,
     are_same,

@@ -1,11 +1,10 @@
-"""The grey-box likelihood: commands -> exact response -> residual -> whitening filter, with gradients and information.
+"""The grey-box likelihood: residuals of the response -> whitening filter -> score, with gradients and information.
 
 Source: the Kalman likelihood of the model (5) with delay, trim and a slow disturbance; the mean and all its
 sensitivities pass through the gains of one filter, so the gradient costs one pass. Coefficients enter as
 (g, log b, tau), so the damping is positive by construction.
 """
 
-import functools
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,14 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices, Mask
-from rotorfit.core.laws import DAMPING, DELAY, FIRST_ORDER_DELAY, GAIN, LAG, TRIM, ZERO, Structure
-from rotorfit.dynamics.general_response import motion_response
-from rotorfit.dynamics.general_step import COLUMNS, MEAN, NOTHING, START
-from rotorfit.dynamics.horizontal_response import horizontal_response
-from rotorfit.dynamics.lagged_response import lagged_axis_response
-from rotorfit.dynamics.response import axis_response
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
 from rotorfit.dynamics.whitening import Piece, axis_pieces, plane_pieces
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.parameters import Point
 
@@ -29,120 +23,6 @@ def segments(records: Sequence[Record]) -> list[slice]:
     """The rows of `Point.start` that belong to each flight."""
     ends = np.cumsum([0, *(rec.starts.size for rec in records)])
     return [slice(int(low), int(high)) for low, high in itertools.pairwise(ends)]
-
-
-def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Array, Array]:
-    """Response of the blocks to the commands, and its sensitivities.
-
-    Args:
-        rec: The flight.
-        point: Coefficients and trims.
-        flight: Row of the trims.
-        start: Velocity at the start of its segments, world frame where K is 2, shape (S, K) [m/s or rad/s].
-
-    Returns:
-        Response in the frame of `Record.position`, shape (B, K) [m or rad; m/s or rad/s for blocks of velocities]; and
-        its derivatives d/d(g, log b, tau, further parameters, c, v0) in that order with K columns each, shape
-        (B, (5 + E) K, K), where v0 is that of the block's own segment.
-    """
-    structures = point.structures or (FIRST_ORDER_DELAY,) * len(rec.axes)
-    laws = point.laws
-    laws[:, TRIM] = point.trim[flight]
-    if all(one.linear and not one.kicks and one.order < 2 for one in structures) and len(laws) == 2:
-        return _horizontal_response(rec, point, laws, start)
-    if not structures[0].linear or len(laws) == 2:
-        return _general_response(rec, point, laws, start)
-    if structures[0].order:
-        return _lagged_response(rec, point, laws, start)
-    return _axis_response(rec, laws[0], start)
-
-
-def _axis_response(rec: Record, law: Array, start: Array) -> tuple[Array, Array]:
-    """`response` of one axis under the first-order law with a delay."""
-    command_time, command, command_range = rec.switches
-    out = rec.observed(
-        axis_response(
-            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command[:, 0],
-            rec.weight, law[GAIN], law[TRIM], law[DAMPING], law[DELAY], start[:, 0],
-        )
-    )  # fmt: skip
-    mean = law[GAIN] * out[:, 0] + law[TRIM] * out[:, 1] + start[rec.segment] * out[:, 4]
-    out[:, 2] *= law[DAMPING]
-    return mean, out[:, [0, 2, 3, 1, 4]]
-
-
-def _horizontal_response(rec: Record, point: Point, laws: Array, start: Array) -> tuple[Array, Array]:
-    """`response` of x and y under the first-order law with a delay, also with a lag on the input."""
-    command_time, command, command_range = rec.switches
-    out = rec.observed(
-        horizontal_response(
-            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command, rec.weight,
-            rec.yaw, laws, start,
-        )
-    )  # fmt: skip
-    out[:, 3:5] *= laws[:, DAMPING, None]
-    if not len(point.extra):
-        return out[:, 0], out[:, [*range(1, 7), *range(9, 13)]]
-    out[:, 7:9] *= laws[:, LAG, None]
-    return out[:, 0], out[:, 1:]
-
-
-def _general_response(rec: Record, point: Point, laws: Array, start: Array) -> tuple[Array, Array]:
-    """`response` under the general law."""
-    what, whose, scale = _columns(point.structures, len(point.extra))
-    command_time, command, command_range = rec.switches
-    out = rec.observed(
-        motion_response(
-            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command, rec.weight,
-            rec.yaw, laws, what, whose, start,
-        )
-    )  # fmt: skip
-    values = np.ones(what.size - 1)
-    for j in np.flatnonzero(scale):
-        values[j - 1] = laws[whose[j], what[j]]
-    return out[:, 0], out[:, 1:] * values[:, None]
-
-
-def _lagged_response(rec: Record, point: Point, law: Array, start: Array) -> tuple[Array, Array]:
-    """`response` of one axis under a linear law with a lag."""
-    command_time, command, command_range = rec.switches
-    out = rec.observed(
-        lagged_axis_response(
-            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command[:, 0],
-            rec.weight, law, start[:, 0],
-        )
-    )  # fmt: skip
-    extras = [extra.place for extra in point.structures[0].extras]
-    columns = [_LAGGED_COLUMNS.index(place) for place in (GAIN, DAMPING, DELAY, *extras, TRIM, START)]
-    out[:, [_LAGGED_COLUMNS.index(DAMPING), _LAGGED_COLUMNS.index(LAG)]] *= law[0, [DAMPING, LAG]][:, None]
-    return out[:, 0], out[:, columns]
-
-
-_LAGGED_COLUMNS = (MEAN, GAIN, DAMPING, DELAY, LAG, ZERO, TRIM, START)
-"""The columns of `lagged_axis_response`: the mean, then the parameters of its derivatives."""
-
-
-@functools.cache
-def _columns(structures: tuple[Structure, ...], E: int) -> tuple[Indices, Indices, Mask]:
-    """For each column of the general response: parameter, axis, and whether the derivative is by its logarithm."""
-    K = len(structures)
-    what, whose = [MEAN], [0]
-    for place in (GAIN, DAMPING, DELAY):
-        what += [place] * K
-        whose += range(K)
-    scaled = [place == DAMPING for place in what]
-    for e in range(E):
-        for k, structure in enumerate(structures):
-            there = e < len(structure.extras) and structure.extras[e].estimated
-            what.append(structure.extras[e].place if there else NOTHING)
-            whose.append(k)
-            scaled.append(there and structure.extras[e].logarithmic)
-    for place in (TRIM, START):
-        what += [place] * K
-        whose += range(K)
-        scaled += [False] * K
-    assert len(what) <= COLUMNS  # the kernel has no room for more
-    return np.array(what), np.array(whose), np.array(scaled)
 
 
 def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:

@@ -28,8 +28,9 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.results import Outlier, Outliers
 from rotorfit.dynamics.disturbance import axis_start, distinct_steps, step_tables
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, record
-from rotorfit.estimation.likelihood.likelihood import response, segments
+from rotorfit.estimation.likelihood.likelihood import segments
 
 FREEDOM = 4.0
 """nu of Student's t: tails heavy enough that a swapped marker has almost no weight."""

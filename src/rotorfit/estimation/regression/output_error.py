@@ -14,8 +14,9 @@ from rotorfit.core.frames import Array, Mask
 from rotorfit.core.laws import DELAY_RANGE, START_LEVELS
 from rotorfit.core.model import Predictor
 from rotorfit.dynamics.disturbance import stationary, step_tables
+from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, record
-from rotorfit.estimation.likelihood.likelihood import response, segments
+from rotorfit.estimation.likelihood.likelihood import segments
 from rotorfit.estimation.likelihood.noise_levels import settle_levels
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import DAMPING_RANGE, Point
