@@ -29,29 +29,40 @@ from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts, late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
-from rotorfit.tracking.changes import Contrast, at_once, calm, looked_for, looked_together, since_when
+from rotorfit.tracking.changes import (
+    Contrast,
+    at_once,
+    calm,
+    in_any_air,
+    looked_for,
+    looked_together,
+    pushes,
+    since_when,
+)
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
 from rotorfit.tracking.refits import (
     LONGEST,
-    REFIT,
-    REFIT_UNKNOWN,
     AxisReport,
     GroupEstimate,
     axis_report,
     doubt_of,
     group_estimate,
     grown,
+    growth,
     refitted,
     renewed,
     stepped,
     together,
 )
-from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
+from rotorfit.tracking.scores import GUST_POWERS, WINDOWS, Doubts, Estimates, Scores, let_go, scores_of
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
 """Time between looks, and between glances [s]."""
+
+SHORT = tuple(window for window in WINDOWS if window <= 16 * GLANCE)
+"""Lengths of the windows that a glance tests [s]: in a longer one little is new since the last look."""
 
 REVISED = 1.0
 """Time from an alarm to its revision [s]."""
@@ -187,7 +198,7 @@ class Following:
             now: As in `look`.
             standing: As in `look`.
         """
-        alarm = self._change(flight, now, standing)
+        alarm = self._change(flight, now, standing, SHORT)
         return self._tracked(flight, now, (alarm,)) if alarm else None
 
     def look(self, flight: Flight, now: float, standing: bool = False) -> Tracked:
@@ -264,13 +275,19 @@ class Following:
         group, before = replace(group, excited=excited, looked=now), group.fitted
         if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
             return replace(group, fitted=renewed(before, part))  # no excitation: the last values hold
-        growth = REFIT if before and before.estimates else REFIT_UNKNOWN
-        if before is None or grown(before.seen, excited, growth):
+        if before is None or grown(before.seen, excited, growth(before)):
             return replace(group, fitted=refitted(part, axes, self._structure, excited))
         return replace(group, fitted=stepped(before, part, excited))
 
-    def _change(self, flight: Flight, now: float, standing: bool) -> Alarm | None:
-        """The alarm that is raised or revised now, if there is one; it begins a new regime."""
+    def _change(self, flight: Flight, now: float, standing: bool, lengths: Sequence[float] = WINDOWS) -> Alarm | None:
+        """The alarm that is raised or revised now, if there is one; it begins a new regime.
+
+        Args:
+            flight: As in `look`.
+            now: As in `look`.
+            standing: As in `look`.
+            lengths: Lengths of the windows that are tested [s].
+        """
         raised, self._raised = self._raised, None
         if standing:
             return None
@@ -278,8 +295,9 @@ class Following:
             self._raised = raised
             return None
         before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
-        scored = {scores.names: scores for scores in scores_of_groups(_renewed(before.groups, flight, now), flight)}
-        looked, count = looked_together(list(scored.values()))
+        known = _renewed(before.groups, flight, now)
+        scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
+        looked, count = looked_together(list(scored.values()), lengths)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
         if raised:
@@ -287,8 +305,14 @@ class Following:
         if not found or found[0][0] not in scored:
             return None
         names, first = min(found, key=lambda each: each[1].p_value)
+        p_value = first.p_value
+        if not raised and pushes(names, first):
+            under = [scores_of_groups(known, flight, gusts) for gusts in range(1 + len(GUST_POWERS))]
+            p_value = max(p_value, in_any_air(names, under, lengths))
+            if p_value > threshold:
+                return None  # perhaps a gust
         best, since = since_when(scored[names], first, looked[names])
-        if not raised and not calm(scored[names], best.since, first.p_value):
+        if not raised and not calm(scored[names], best.since, p_value):
             return None  # the air, not the vehicle
         if not raised and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
@@ -306,7 +330,7 @@ class Following:
             since=since,
             change=named.change,
             confidence=named.confidence,
-            p_value=first.p_value,
+            p_value=p_value,
             why=named.why,
             revises=raised.alarm.time if raised else None,
         )
@@ -522,14 +546,15 @@ def _part(flight: Flight, since: float, now: float) -> Flight | None:
     return part if part.segments and part.pose_time.size > 1 else None
 
 
-def scores_of_groups(fitted: Sequence[GroupEstimate], flight: Flight) -> list[Scores]:
+def scores_of_groups(fitted: Sequence[GroupEstimate], flight: Flight, gusts: int | None = None) -> list[Scores]:
     """The scores of each likelihood of the given groups.
 
     Args:
         fitted: Their estimates.
         flight: The flight so far.
+        gusts: As for `scores_of`.
     """
-    return scores_of([part for one in fitted for part in _likelihoods(one)], let_go(flight))
+    return scores_of([part for one in fitted for part in _likelihoods(one)], let_go(flight), gusts)
 
 
 def _likelihoods(fitted: GroupEstimate) -> list[tuple[Estimates, Doubts]]:
