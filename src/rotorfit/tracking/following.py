@@ -178,6 +178,7 @@ class Following:
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
+        self._laws: dict[str, str] = {}
         self._known: dict[str, float] = {}
         self._raised: _Raised | None = None
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
@@ -226,12 +227,13 @@ class Following:
         """Regimes and the time of the next look, as plain types; `recall` leaves the estimates to new fits."""
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
         told = {"compared": self._compared, "unlike": sorted(self._unlike)}
-        since = {"since": dict(self._since), "changed": dict(self._changed)}
+        since = {"since": dict(self._since), "changed": dict(self._changed), "laws": dict(self._laws)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Continues from what `memory` returned."""
         self._since, self._changed = dict(memory["since"]), dict(memory["changed"])
+        self._laws = dict(memory.get("laws", {}))
         self.next_look = memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
         self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
@@ -347,6 +349,9 @@ class Following:
         groups = dict(self._groups)
         for axes, group in groups.items():
             known = before.groups.get(axes, group)
+            if known.fitted:
+                laws = {axis: known.fitted.fit.model.axes[axis].structure for axis in known.fitted.estimates}
+                self._laws |= {axis: law for axis, law in laws.items() if axis in alarm.axes}
             if set(axes) & set(alarm.axes):
                 groups[axes] = Group(axes, since, answers=group.answers)
             elif group.since != known.since:
@@ -451,11 +456,14 @@ class Following:
             self._known[axis] = now
         elif axis in self._known and knowledge != "holding":
             state = f"{state} (known until {self._known[axis]:.0f} s, taken back)"
+        structure = fitted.fit.model.axes[axis].structure if fitted else ""
         if axis in self._changed:
+            law = self._laws.get(axis, structure)
+            if fitted and axis in fitted.estimates and structure != law:
+                state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
         out = TrackedAxis(knowledge, state)
         if fitted and report:
-            structure = fitted.fit.model.axes[axis].structure
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure
             )

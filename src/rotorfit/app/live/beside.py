@@ -98,7 +98,7 @@ def main() -> None:
             regaining.state(state, now)
         alarms = []
         for one in state.alarms:
-            raised[one.time] = f"{one.time:.1f} s  {one.title}: {one.why}"
+            raised[one.time] = f"{one.time:.2f} s  {one.title}: {one.why}"
             alarms.append((raised[one.time], raised.get(one.raised) if one.revises is not None else None))
         told = {"time": state.time, "words": words_of(state), "alarms": alarms, "gains": list(gains)}
         gains.clear()
