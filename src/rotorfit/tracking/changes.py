@@ -224,7 +224,7 @@ def _inverse(products: Array, least: float) -> Array:
 
 def looked_for(scores: Scores) -> list[Contrast]:
     """The contrasts of all windows of at most half the regime, along `_bases`, and the likeliest jolt."""
-    return _looked_for(scores, _windows(scores, WINDOWS))
+    return _looked_for(scores, _windows(scores, WINDOWS), _jolts_of(scores))
 
 
 def _windows(scores: Scores, lengths: Sequence[float]) -> list[_Compared]:
@@ -234,7 +234,7 @@ def _windows(scores: Scores, lengths: Sequence[float]) -> list[_Compared]:
     return [one for since in windows if (one := _compared(scores, since))]
 
 
-def _looked_for(scores: Scores, windows: Sequence[_Compared]) -> list[Contrast]:
+def _looked_for(scores: Scores, windows: Sequence[_Compared], jolts: "_Jolts | None") -> list[Contrast]:
     now, bases = float(scores.time[-1]), _bases(scores.names)
     found = [
         each
@@ -242,7 +242,7 @@ def _looked_for(scores: Scores, windows: Sequence[_Compared]) -> list[Contrast]:
         for basis in (bases[1:] if now - one.since < OWN_GUSTS else bases)
         if (each := _along(scores, one, basis, UNLIKELY))
     ]
-    return [*found, *_jolted([scores]).values()]
+    return [*found, *_jolted([scores], [jolts]).values()]
 
 
 def looks(scores: Scores, lengths: Sequence[float] = WINDOWS) -> int:
@@ -263,10 +263,11 @@ def looked_together(
         lengths: Lengths of the windows that are tested [s].
     """
     windows = {scores.names: _windows(scores, lengths) for scores in scored}
-    looked = {scores.names: _looked_for(scores, windows[scores.names]) for scores in scored}
+    jolts = {scores.names: _jolts_of(scores) for scores in scored}
+    looked = {scores.names: _looked_for(scores, windows[scores.names], jolts[scores.names]) for scores in scored}
     pairs = list(itertools.combinations([scores for scores in scored if scores.jolts.size], 2))
     for pair in pairs:
-        for names, one in _jolted(pair).items():
+        for names, one in _jolted(pair, [jolts[scores.names] for scores in pair]).items():
             looked[names].append(one)
     for names, one in _delayed(scored, windows):
         looked[names].append(one)
@@ -366,13 +367,13 @@ def _jolts_of(scores: Scores) -> _Jolts | None:
     return _Jolts(scores.time[new], product, power, gain[1:].max(axis=0), variance, freedom)
 
 
-def _jolted(scored: Sequence[Scores]) -> dict[tuple[str, ...], Contrast]:
+def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tuple[str, ...], Contrast]:
     """The likeliest jolt: a sudden acceleration that fades, as when the autopilot learns to carry a payload.
 
     It may hit several axes at one instant: a weak rotor makes the vehicle sink and turn. Empty if wrong poses explain
     more.
     """
-    found = [one for scores in scored if (one := _jolts_of(scores))]
+    found = [one for one in jolts if one]
     if len(found) < len(scored) or any(not np.array_equal(one.time, found[0].time) for one in found):
         return {}
     gain = np.array([one.product**2 / one.power for one in found])
