@@ -5,7 +5,8 @@ the regime (`changes`), and assembles the state in report and numbers. Between l
 
 An alarm is raised by the look or glance that finds a change, with the cause that is probable by then. It begins a new
 regime. A second later the cause is named again, from the estimates before the change and more data, and the alarm is
-revised: its regime is then as if it had been raised like that.
+revised: its regime is then as if it had been raised like that. Only then it says by how much: in a fraction of a second
+the size of a change and its time explain each other, and no interval of either alone holds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -330,7 +331,7 @@ class Following:
             axes=tuple(axis for axis in AXES if axis in named.axes),
             cause=named.cause,
             since=since,
-            change=named.change,
+            change=named.change if raised else {},
             confidence=named.confidence,
             p_value=p_value,
             why=named.why,
