@@ -44,6 +44,7 @@ from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, wideni
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
 from rotorfit.tracking.refits import (
     LONGEST,
+    REFIT,
     AxisReport,
     GroupEstimate,
     axis_report,
@@ -159,6 +160,8 @@ class Following:
         structure: Model structure, as `fit` takes it.
         false_alarms_per_hour: Promised bound on their expected number [1/h].
         earlier: The model of an earlier flight; None if there is none.
+        tuned: Whether gains are re-tuned from the refits; these are then made more often, as with an earlier model,
+            with which each is compared.
 
     Attributes:
         next_look: Time of the next look [s].
@@ -171,8 +174,9 @@ class Following:
         structure: str = AVERAGED,
         false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
         earlier: Earlier | None = None,
+        tuned: bool = False,
     ) -> None:
-        self._structure, self._earlier = structure, earlier
+        self._structure, self._earlier, self._often = structure, earlier, tuned or earlier is not None
         self._false_alarms = false_alarms_per_hour * (1.0 - SHARE if earlier else 1.0)
         self._false_comparisons = false_alarms_per_hour * SHARE
         self._compared, self._unlike = 0.0, set[str]()
@@ -278,7 +282,7 @@ class Following:
         group, before = replace(group, excited=excited, looked=now), group.fitted
         if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
             return replace(group, fitted=renewed(before, part))  # no excitation: the last values hold
-        if before is None or grown(before.seen, excited, growth(before)):
+        if before is None or grown(before.seen, excited, REFIT if before.estimates and self._often else growth(before)):
             return replace(group, fitted=refitted(part, axes, self._structure, excited))
         return replace(group, fitted=stepped(before, part, excited))
 

@@ -2,9 +2,9 @@
 
 A refit is `estimation.fitting.fit` on the flight so far: search, laws, profiles, judgement. It is made each time the
 excited time has grown by `REFIT`, and by `REFIT_SETTLED` while the last one stands, so that all refits together cost
-about as much as the last one. Between refits the estimate
-takes a step or two of Fisher scoring on the data so far; its intervals keep the shape that the refit gave them and
-shrink with the information. The last estimate of a flight is that of the batch.
+about as much as the last one. Between refits the estimate takes a step or two of Fisher scoring on the data so far; its
+intervals keep the shape that the refit gave them and shrink with the information. The last estimate of a flight is that
+of the batch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.zero_command import commanded_parts
 
-REFIT, REFIT_SETTLED = 1.5, 3.0
+REFIT, REFIT_SETTLED = 1.5, 2.0
 """Growth of the excited time that calls for a refit, and the same as long as the last refit is `_settled`."""
 
 LONGEST = 300.0
