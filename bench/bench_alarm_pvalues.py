@@ -97,8 +97,10 @@ class Looks:
         self.seen: list[dict] = []
         self._looked = changes.looked_together
 
-    def __call__(self, scored: Sequence[changes.Scores]) -> tuple[dict, int]:
-        looked, count = self._looked(scored)
+    def __call__(
+        self, scored: Sequence[changes.Scores], lengths: Sequence[float] = changes.WINDOWS
+    ) -> tuple[dict, int]:
+        looked, count = self._looked(scored, lengths)
         parts = []
         for names, found in looked.items():
             axes = "+".join(dict.fromkeys(name.split(".")[0] for name in names))

@@ -83,7 +83,7 @@ def test_a_state_has_the_promised_keys_and_null_where_nothing_is_known(told: lis
 def faked(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, *revised: Alarm) -> None:
     """A tracker that raises one alarm, and perhaps revises it, whatever flies."""
 
-    def tracked(flight: Flight, _structure: str, _rate: float, on_state: Any, _earlier: Any, _stopped: Any) -> Track:
+    def tracked(flight: Flight, _structure: str, _rate: float, on_state: Any, *_others: Any) -> Track:
         states = Tracked(5.0, {}), Tracked(6.0, {}, (alarm,), 1), Tracked(7.0, {}, revised, 1)
         for state in states:
             on_state(state)
@@ -108,7 +108,7 @@ def test_an_alarm_comes_before_the_state_that_knows_of_it(
     assert len(told[-1]["regimes"]) == 2
     assert told[-1]["models"] == []  # both were too short for one
     assert told[-1]["report"] == str(page)
-    assert "6.0 s: limit or mode" in page.read_text(encoding="utf-8")
+    assert "6.00 s: limits" in page.read_text(encoding="utf-8")
 
 
 def test_a_revised_alarm_is_one_alarm(log: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_revised_alarm_is_one_alarm(log: tuple[str, ...], monkeypatch: pytest.
     assert [line["revises"] for line in told if line["type"] == "alarm"] == [None, 6.0]
     assert told[-1]["alarms"] == 1
     assert html.count('<span class="badge">alarm</span>') == 1
-    assert "one alarm, at 6 s: limit or mode." in html
+    assert "one alarm, at 6.00 s: limits." in html
 
 
 def test_people_get_words_a_model_and_a_page(log: tuple[str, ...], tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def track() -> Track:
 def test_the_page_says_what_is_known_and_what_changed(track: Track, flight: Flight) -> None:
     page = timeline_page(track, flight)
 
-    assert "x and y are known; one alarm, at 20 s: limit or mode." in page
+    assert "x and y are known; one alarm, at 20.00 s: limits." in page
     assert "input gain of x and y 0.78 to 0.86 times what it was; delay of z by −20 to +50 ms" in page
     assert "17.5 to 18.5 s" in page
     assert "97 % of the evidence" in page

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorfit.tracking.changes import looked_for, looks, since_when
+from rotorfit.tracking.changes import in_any_air, looked_for, looks, pushes, since_when
+from rotorfit.tracking.following import SHORT
 from rotorfit.tracking.refits import refitted
-from rotorfit.tracking.scores import Scores, scores_of
+from rotorfit.tracking.scores import GUST_POWERS, Scores, scores_of
 from tracked_flights import LAW, alarms, known_flight, of_a_pilot
 
 pytestmark = pytest.mark.flights
@@ -52,6 +53,27 @@ def test_coefficients_that_move_are_found_with_their_sign_and_their_time(scores:
     assert first.p_value * looks(changed) < 1e-6
     assert low - 0.5 <= begun <= high + 0.5
     assert best.shift[moved] == pytest.approx(-1.0, abs=0.4)
+
+
+def test_a_push_is_as_rare_as_under_the_strengths_that_the_air_allows(scores: Scores) -> None:
+    """Under stronger gusts the same push explains less: here the whitened rows shrink by the root of the power."""
+    innovation = np.random.default_rng(3).standard_normal(scores.time.size)
+    late, trim = scores.time >= float(scores.time[-1]) - 1.5, scores.names.index("z.trim")
+    pushed = replace(scores, innovation=innovation + 2.5 * scores.tested[:, trim] * late, jolts=scores.jolts[:, :0])
+    under = []
+    for root in (1.0, *np.sqrt(GUST_POWERS)):
+        shrunk = {name: getattr(pushed, name) / root for name in ("tested", "free")}
+        noise = innovation + (pushed.innovation - innovation) / root
+        under.append(replace(pushed, innovation=noise, **shrunk))
+
+    def average(air: Array) -> float:
+        return in_any_air(scores.names, [[replace(each, air=air)] for each in under], SHORT)
+
+    calm, doubtful, strong = (average(-np.abs(np.arange(8) - k) * by) for k, by in ((0, 50.0), (0, 1.0), (7, 50.0)))
+    one = next(each for each in looked_for(pushed) if pushes(scores.names, each))
+    assert calm < 1e-6 * doubtful < 1e-6 * strong
+    assert pushes(scores.names, one)
+    assert not pushes(scores.names, replace(one, shift=np.where(np.arange(one.shift.size) == trim, 0.0, 1.0)))
 
 
 def test_a_gap_in_the_poses_a_moment_ago_is_no_jolt(scores: Scores) -> None:

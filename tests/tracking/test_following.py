@@ -11,7 +11,18 @@ from rotorfit.core.tracked import Alarm, Tracked, revised
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 from rotorfit.tracking import following as following_module
 from rotorfit.tracking.following import Following, _Before
-from rotorfit.tracking.refits import GroupEstimate, axis_report, read_backwards, refitted, renewed, stepped
+from rotorfit.tracking.refits import (
+    REFIT,
+    REFIT_SETTLED,
+    REFIT_UNKNOWN,
+    GroupEstimate,
+    axis_report,
+    growth,
+    read_backwards,
+    refitted,
+    renewed,
+    stepped,
+)
 from rotorfit.tracking.replayed import growing, until
 from tracked_flights import LAW, known_flight
 
@@ -165,3 +176,18 @@ def test_an_axis_that_is_only_held_is_given_no_numbers_before_the_fit_can_tell()
         assert states[-1].axes[axis].state == "learning (so far its commands only answer its motion)"
         assert all(value is None for state in states for value in state.axes[axis].values.values())
     assert states[-1].axes["z"].state == "known"
+
+
+def test_a_refit_that_knows_its_axes_stands_until_the_data_have_doubled_or_its_values_leave_its_intervals() -> None:
+    flight, following = known_flight(), Following(LAW)
+    for part, now in growing(until(flight, 12.5), following.next_look):
+        following.look(part, now)
+    (fitted,) = (group.fitted for axes, group in following._groups.items() if "z" in axes)
+    assert fitted is not None
+    optimum = fitted.estimates["z"].optimum
+    left = replace(optimum, point=replace(optimum.point, delay=optimum.point.delay + 0.2))
+    away = replace(fitted, estimates={"z": replace(fitted.estimates["z"], optimum=left)})
+
+    assert growth(fitted) == REFIT_SETTLED
+    assert growth(away) == REFIT
+    assert growth(replace(fitted, estimates={})) == REFIT_UNKNOWN

@@ -194,8 +194,9 @@ class Alarm:
         axes: The axes that changed.
         cause: Probable cause.
         since: 95 % interval of the time of the change [s].
-        change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay` and `trim` the difference
-            [s, m/s^2 or rad/s^2].
+        change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay` and `trim`, and where the
+            vehicle is another one for `lag` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty until it is
+            revised.
         confidence: Share of the evidence for this cause among all that were compared.
         p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
         why: Why this cause and not the others, one sentence.
@@ -218,10 +219,23 @@ class Alarm:
         return self.time if self.revises is None else self.revises
 
     @property
+    def named(self) -> str:
+        """The cause in words."""
+        return self.cause.replace("_", " ")
+
+    @property
     def title(self) -> str:
         """Axes and cause in words, and whether the alarm is new."""
-        named = f"{', '.join(self.axes)}: {self.cause}"
+        named = f"{', '.join(self.axes)}: {self.named}"
         return f"ALARM {named}" if self.revises is None else f"REVISED {named}, alarm of {self.revises:.2f} s"
+
+    def unit(self, name: str) -> str:
+        """Unit of a difference in `change`; empty for a ratio."""
+        axis, what = name.split(".")
+        if what == "trim":
+            return f"{POSE_UNITS[axis]}/s^2"
+        lags = ("lag", "total_lag") if self.cause == "another_vehicle" else ()
+        return "s" if what in ("delay", *lags) else ""
 
     def to_mapping(self) -> dict[str, Any]:
         """The alarm as a line of JSON holds it."""

@@ -85,10 +85,9 @@ def restoring_law(flight: Flight, axis: str, motion: Motion | None = None, least
         return None
     velocity = _integral(motion.time, motion.velocity[:, k : k + 1])
     place = _integral(flight.pose_time, _place(flight, k))
-    fits = [
-        _fitted(u, _averages(motion.time, velocity, begin + lag), _averages(flight.pose_time, place, begin + lag))
-        for lag in LAGS
-    ]
+    late = (begin + LAGS[:, None]).ravel()
+    parts = (_averages(motion.time, velocity, late), _averages(flight.pose_time, place, late))
+    fits = [_fitted(u, *each) for each in zip(*(np.split(part, LAGS.size) for part in parts), strict=True)]
     best = int(np.argmin([left for left, _, _ in fits]))
     left, alone, gains = fits[best]
     whole = left < (1 - WHOLE) and left < POSITION * alone and (gains < 0).all()

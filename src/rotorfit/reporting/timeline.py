@@ -39,18 +39,6 @@ COLOURS: Mapping[Knowledge, str] = {
     "not_excited": "grey",
 }
 
-CAUSES: Mapping[str, str] = {
-    "payload": "weight against thrust",
-    "thrust": "thrust of one side",
-    "limits": "limit or mode",
-    "delay": "delay",
-    "pose_jumped": "the pose jumped",
-    "pose_frozen": "the pose is frozen",
-    "another_vehicle": "not the vehicle of the earlier model",
-    "other": "something else",
-}
-"""Cause to a few words."""
-
 
 @dataclass(frozen=True)
 class AxisNow:
@@ -132,8 +120,8 @@ def _headline(track: Track) -> str:
     if not alarms:
         return f"{first}; no alarm."
     if len(alarms) == 1:
-        return f"{first}; one alarm, at {alarms[0].raised:.0f} s: {CAUSES[alarms[0].cause]}."
-    return f"{first}; {len(alarms)} alarms, the last at {alarms[-1].raised:.0f} s: {CAUSES[alarms[-1].cause]}."
+        return f"{first}; one alarm, at {alarms[0].raised:.2f} s: {alarms[0].named}."
+    return f"{first}; {len(alarms)} alarms, the last at {alarms[-1].raised:.2f} s: {alarms[-1].named}."
 
 
 def _now(name: str, axis: TrackedAxis) -> AxisNow:
@@ -283,10 +271,10 @@ def _series(panels: FlightPanels) -> dict[str, Any]:
 def raised(alarm: Alarm) -> Raised:
     """An alarm in words."""
     return Raised(
-        f"{alarm.raised:.1f} s: {CAUSES[alarm.cause]}",
+        f"{alarm.raised:.2f} s: {alarm.named}",
         and_list(alarm.axes),
         f"{alarm.since[0]:.1f} to {alarm.since[1]:.1f} s",
-        _changes(alarm.change),
+        _changes(alarm),
         f"{_share(alarm.confidence)} of the evidence; without a change as much is seen with a chance of "
         f"{alarm.p_value:.1g} a look",
         sentences([alarm.why])[0],
@@ -297,21 +285,21 @@ def _share(share: float) -> str:
     return f"{100 * share:.0f} %" if share < 0.995 else "more than 99 %"
 
 
-def _changes(change: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
+def _changes(alarm: Alarm) -> tuple[str, ...]:
     """What changed and by how much, with its interval; axes with equal changes are combined."""
-    alike: dict[tuple[str, tuple[float, float]], list[str]] = {}
-    for name, ends in change.items():
+    alike: dict[tuple[str, str, tuple[float, float]], list[str]] = {}
+    for name, ends in alarm.change.items():
         axis, what = name.split(".")
-        alike.setdefault((what, ends), []).append(axis)
+        alike.setdefault((what, alarm.unit(name), ends), []).append(axis)
     return tuple(
-        f"{term_of(what)} of {and_list(axes)} {_by(what, axes, *ends)}" for (what, ends), axes in alike.items()
+        f"{term_of(what)} of {and_list(axes)} {_by(unit, *ends)}" for (what, unit, ends), axes in alike.items()
     )
 
 
-def _by(what: str, axes: Sequence[str], low: float, high: float) -> str:
-    if what not in ("delay", "trim"):
+def _by(unit: str, low: float, high: float) -> str:
+    if not unit:
         return f"{low:.2f} to {high:.2f} times what it was"
-    factor, unit = (1e3, "ms") if what == "delay" else (1.0, unit_of("wind", axes[0]))
+    factor, unit = (1e3, "ms") if unit == "s" else (1.0, unit.replace("^2", "²"))
     ends = " to ".join(f"{factor * end:+.2g}".replace("-", "−") for end in (low, high))
     return f"by {ends} {unit}"
 
@@ -326,7 +314,7 @@ def _regimes(regimes: Sequence[Regime], files: Sequence[Path | None]) -> list[di
         {
             "number": number,
             "span": f"{one.start:.1f} to {one.end:.1f} s",
-            "begun": CAUSES[one.begun_by.cause] if one.begun_by else "as it began",
+            "begun": one.begun_by.named if one.begun_by else "as it began",
             "file": str(path) if path else "",
             "cells": _cells(one.model),
         }

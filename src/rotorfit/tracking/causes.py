@@ -25,8 +25,8 @@ CURVED = 0.1
 """Error of the first-order shift over the square of the shift, both in units of `scores.EXPECTED`."""
 
 WORDS: Mapping[Cause, str] = {
-    "payload": "weight against thrust changed: a payload taken up or dropped, or thrust lost evenly",
-    "thrust": "weight against thrust and the torque about the vertical changed together: thrust lost on one side",
+    "payload": "a payload was taken up or dropped, or thrust was lost evenly: weight against thrust has changed",
+    "thrust": "thrust was lost on one side: weight against thrust and the torque about the vertical have changed",
     "limits": "the answer to full commands changed by one factor: another limit or mode",
     "delay": "all answers come later or earlier by the same time: radio, clock or computer",
     "other": "no single cause explains it",

@@ -224,17 +224,17 @@ def _inverse(products: Array, least: float) -> Array:
 
 def looked_for(scores: Scores) -> list[Contrast]:
     """The contrasts of all windows of at most half the regime, along `_bases`, and the likeliest jolt."""
-    return _looked_for(scores, _windows(scores))
+    return _looked_for(scores, _windows(scores, WINDOWS), _jolts_of(scores))
 
 
-def _windows(scores: Scores) -> list[_Compared]:
-    """The comparisons of all windows of at most half the regime."""
+def _windows(scores: Scores, lengths: Sequence[float]) -> list[_Compared]:
+    """The comparisons of the windows of some lengths [s], of at most half the regime."""
     now, begin = float(scores.time[-1]), float(scores.time[0])
-    windows = (now - w for w in WINDOWS if w < 0.5 * (now - begin))
+    windows = (now - w for w in lengths if w < 0.5 * (now - begin))
     return [one for since in windows if (one := _compared(scores, since))]
 
 
-def _looked_for(scores: Scores, windows: Sequence[_Compared]) -> list[Contrast]:
+def _looked_for(scores: Scores, windows: Sequence[_Compared], jolts: "_Jolts | None") -> list[Contrast]:
     now, bases = float(scores.time[-1]), _bases(scores.names)
     found = [
         each
@@ -242,30 +242,63 @@ def _looked_for(scores: Scores, windows: Sequence[_Compared]) -> list[Contrast]:
         for basis in (bases[1:] if now - one.since < OWN_GUSTS else bases)
         if (each := _along(scores, one, basis, UNLIKELY))
     ]
-    return [*found, *_jolted([scores]).values()]
+    return [*found, *_jolted([scores], [jolts]).values()]
 
 
-def looks(scores: Scores) -> int:
-    """Number of contrasts that a look at these scores tests."""
-    long = sum(window >= OWN_GUSTS for window in WINDOWS)
-    return len(WINDOWS) * (len(_bases(scores.names)) - 1) + long + _instants(scores)
+def looks(scores: Scores, lengths: Sequence[float] = WINDOWS) -> int:
+    """Number of contrasts that a look at these scores tests, with windows of some lengths [s]."""
+    long = sum(window >= OWN_GUSTS for window in lengths)
+    return len(lengths) * (len(_bases(scores.names)) - 1) + long + _instants(scores)
 
 
-def looked_together(scored: Sequence[Scores]) -> tuple[dict[tuple[str, ...], list[Contrast]], int]:
+def looked_together(
+    scored: Sequence[Scores], lengths: Sequence[float] = WINDOWS
+) -> tuple[dict[tuple[str, ...], list[Contrast]], int]:
     """The contrasts of all likelihoods, each by itself and together, and the number of tests of a look.
 
     Together: simultaneous jolts of two axes, and one step of all delays.
+
+    Args:
+        scored: Scores of each likelihood.
+        lengths: Lengths of the windows that are tested [s].
     """
-    windows = {scores.names: _windows(scores) for scores in scored}
-    looked = {scores.names: _looked_for(scores, windows[scores.names]) for scores in scored}
+    windows = {scores.names: _windows(scores, lengths) for scores in scored}
+    jolts = {scores.names: _jolts_of(scores) for scores in scored}
+    looked = {scores.names: _looked_for(scores, windows[scores.names], jolts[scores.names]) for scores in scored}
     pairs = list(itertools.combinations([scores for scores in scored if scores.jolts.size], 2))
     for pair in pairs:
-        for names, one in _jolted(pair).items():
+        for names, one in _jolted(pair, [jolts[scores.names] for scores in pair]).items():
             looked[names].append(one)
     for names, one in _delayed(scored, windows):
         looked[names].append(one)
-    count = sum(map(looks, scored)) + sum(_instants(pair[0]) for pair in pairs)
-    return looked, count + (len(WINDOWS) if len(scored) > 1 else 0)
+    count = sum(looks(scores, lengths) for scores in scored) + sum(_instants(pair[0]) for pair in pairs)
+    return looked, count + (len(lengths) if len(scored) > 1 else 0)
+
+
+def pushes(names: Sequence[str], one: Contrast) -> bool:
+    """Whether a shift pushes by itself, as a gust does; that of a gain or delay shows only in answers to commands."""
+    return any(shift != 0.0 for name, shift in zip(names, one.shift, strict=True) if name.endswith(".trim"))
+
+
+def in_any_air(names: tuple[str, ...], under: Sequence[Sequence[Scores]], lengths: Sequence[float]) -> float:
+    """Smallest p-value of the pushes of z or yaw, averaged over the strengths that the gusts may have now.
+
+    A few seconds hardly tell twice the power from that of the regime, and under twice the power the same push is a
+    thousand times less rare. Along x and y the trim of each window explains a push.
+
+    Source: X.-L. Meng, Ann. Statist. 22 (1994), pp. 1142-1160 (p-values averaged over a nuisance parameter).
+
+    Args:
+        names: Names of the scores of the axis.
+        under: The scores of all likelihoods under each strength.
+        lengths: Lengths of the windows that are tested [s].
+    """
+    air = next(scores.air for scores in under[0] if scores.names == names)
+    weight, least = np.exp(air - air.max()), []
+    for scored in under:
+        found = [one.p_value for one in looked_together(scored, lengths)[0][names] if pushes(names, one)]
+        least.append(min(found, default=1.0))
+    return float(weight @ least / weight.sum())
 
 
 def _delayed(
@@ -334,13 +367,13 @@ def _jolts_of(scores: Scores) -> _Jolts | None:
     return _Jolts(scores.time[new], product, power, gain[1:].max(axis=0), variance, freedom)
 
 
-def _jolted(scored: Sequence[Scores]) -> dict[tuple[str, ...], Contrast]:
+def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tuple[str, ...], Contrast]:
     """The likeliest jolt: a sudden acceleration that fades, as when the autopilot learns to carry a payload.
 
     It may hit several axes at one instant: a weak rotor makes the vehicle sink and turn. Empty if wrong poses explain
     more.
     """
-    found = [one for scores in scored if (one := _jolts_of(scores))]
+    found = [one for one in jolts if one]
     if len(found) < len(scored) or any(not np.array_equal(one.time, found[0].time) for one in found):
         return {}
     gain = np.array([one.product**2 / one.power for one in found])

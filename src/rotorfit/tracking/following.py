@@ -5,7 +5,8 @@ the regime (`changes`), and assembles the state in report and numbers. Between l
 
 An alarm is raised by the look or glance that finds a change, with the cause that is probable by then. It begins a new
 regime. A second later the cause is named again, from the estimates before the change and more data, and the alarm is
-revised: its regime is then as if it had been raised like that.
+revised: its regime is then as if it had been raised like that. Only then it says by how much: in a fraction of a second
+the size of a change and its time explain each other, and no interval of either alone holds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,29 +30,41 @@ from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts, late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
-from rotorfit.tracking.changes import Contrast, at_once, calm, looked_for, looked_together, since_when
+from rotorfit.tracking.changes import (
+    Contrast,
+    at_once,
+    calm,
+    in_any_air,
+    looked_for,
+    looked_together,
+    pushes,
+    since_when,
+)
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
 from rotorfit.tracking.refits import (
     LONGEST,
     REFIT,
-    REFIT_UNKNOWN,
     AxisReport,
     GroupEstimate,
     axis_report,
     doubt_of,
     group_estimate,
     grown,
+    growth,
     refitted,
     renewed,
     stepped,
     together,
 )
-from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
+from rotorfit.tracking.scores import GUST_POWERS, WINDOWS, Doubts, Estimates, Scores, let_go, scores_of
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
 """Time between looks, and between glances [s]."""
+
+SHORT = tuple(window for window in WINDOWS if window <= 16 * GLANCE)
+"""Lengths of the windows that a glance tests [s]: in a longer one little is new since the last look."""
 
 REVISED = 1.0
 """Time from an alarm to its revision [s]."""
@@ -147,6 +160,8 @@ class Following:
         structure: Model structure, as `fit` takes it.
         false_alarms_per_hour: Promised bound on their expected number [1/h].
         earlier: The model of an earlier flight; None if there is none.
+        tuned: Whether gains are re-tuned from the refits; these are then made more often, as with an earlier model,
+            with which each is compared.
 
     Attributes:
         next_look: Time of the next look [s].
@@ -159,14 +174,16 @@ class Following:
         structure: str = AVERAGED,
         false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
         earlier: Earlier | None = None,
+        tuned: bool = False,
     ) -> None:
-        self._structure, self._earlier = structure, earlier
+        self._structure, self._earlier, self._often = structure, earlier, tuned or earlier is not None
         self._false_alarms = false_alarms_per_hour * (1.0 - SHARE if earlier else 1.0)
         self._false_comparisons = false_alarms_per_hour * SHARE
         self._compared, self._unlike = 0.0, set[str]()
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
+        self._laws: dict[str, str] = {}
         self._known: dict[str, float] = {}
         self._raised: _Raised | None = None
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
@@ -187,7 +204,7 @@ class Following:
             now: As in `look`.
             standing: As in `look`.
         """
-        alarm = self._change(flight, now, standing)
+        alarm = self._change(flight, now, standing, SHORT)
         return self._tracked(flight, now, (alarm,)) if alarm else None
 
     def look(self, flight: Flight, now: float, standing: bool = False) -> Tracked:
@@ -215,12 +232,13 @@ class Following:
         """Regimes and the time of the next look, as plain types; `recall` leaves the estimates to new fits."""
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
         told = {"compared": self._compared, "unlike": sorted(self._unlike)}
-        since = {"since": dict(self._since), "changed": dict(self._changed)}
+        since = {"since": dict(self._since), "changed": dict(self._changed), "laws": dict(self._laws)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Continues from what `memory` returned."""
         self._since, self._changed = dict(memory["since"]), dict(memory["changed"])
+        self._laws = dict(memory.get("laws", {}))
         self.next_look = memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
         self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
@@ -264,13 +282,19 @@ class Following:
         group, before = replace(group, excited=excited, looked=now), group.fitted
         if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
             return replace(group, fitted=renewed(before, part))  # no excitation: the last values hold
-        growth = REFIT if before and before.estimates else REFIT_UNKNOWN
-        if before is None or grown(before.seen, excited, growth):
+        if before is None or grown(before.seen, excited, REFIT if before.estimates and self._often else growth(before)):
             return replace(group, fitted=refitted(part, axes, self._structure, excited))
         return replace(group, fitted=stepped(before, part, excited))
 
-    def _change(self, flight: Flight, now: float, standing: bool) -> Alarm | None:
-        """The alarm that is raised or revised now, if there is one; it begins a new regime."""
+    def _change(self, flight: Flight, now: float, standing: bool, lengths: Sequence[float] = WINDOWS) -> Alarm | None:
+        """The alarm that is raised or revised now, if there is one; it begins a new regime.
+
+        Args:
+            flight: As in `look`.
+            now: As in `look`.
+            standing: As in `look`.
+            lengths: Lengths of the windows that are tested [s].
+        """
         raised, self._raised = self._raised, None
         if standing:
             return None
@@ -278,8 +302,9 @@ class Following:
             self._raised = raised
             return None
         before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
-        scored = {scores.names: scores for scores in scores_of_groups(_renewed(before.groups, flight, now), flight)}
-        looked, count = looked_together(list(scored.values()))
+        known = _renewed(before.groups, flight, now)
+        scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
+        looked, count = looked_together(list(scored.values()), lengths)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
         if raised:
@@ -287,8 +312,14 @@ class Following:
         if not found or found[0][0] not in scored:
             return None
         names, first = min(found, key=lambda each: each[1].p_value)
+        p_value = first.p_value
+        if not raised and pushes(names, first):
+            under = [scores_of_groups(known, flight, gusts) for gusts in range(1 + len(GUST_POWERS))]
+            p_value = max(p_value, in_any_air(names, under, lengths))
+            if p_value > threshold:
+                return None  # perhaps a gust
         best, since = since_when(scored[names], first, looked[names])
-        if not raised and not calm(scored[names], best.since, first.p_value):
+        if not raised and not calm(scored[names], best.since, p_value):
             return None  # the air, not the vehicle
         if not raised and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
@@ -304,9 +335,9 @@ class Following:
             axes=tuple(axis for axis in AXES if axis in named.axes),
             cause=named.cause,
             since=since,
-            change=named.change,
+            change=named.change if raised else {},
             confidence=named.confidence,
-            p_value=first.p_value,
+            p_value=p_value,
             why=named.why,
             revises=raised.alarm.time if raised else None,
         )
@@ -323,6 +354,9 @@ class Following:
         groups = dict(self._groups)
         for axes, group in groups.items():
             known = before.groups.get(axes, group)
+            if known.fitted:
+                laws = {axis: known.fitted.fit.model.axes[axis].structure for axis in known.fitted.estimates}
+                self._laws |= {axis: law for axis, law in laws.items() if axis in alarm.axes}
             if set(axes) & set(alarm.axes):
                 groups[axes] = Group(axes, since, answers=group.answers)
             elif group.since != known.since:
@@ -427,11 +461,14 @@ class Following:
             self._known[axis] = now
         elif axis in self._known and knowledge != "holding":
             state = f"{state} (known until {self._known[axis]:.0f} s, taken back)"
+        structure = fitted.fit.model.axes[axis].structure if fitted else ""
         if axis in self._changed:
+            law = self._laws.get(axis, structure)
+            if fitted and axis in fitted.estimates and structure != law:
+                state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
         out = TrackedAxis(knowledge, state)
         if fitted and report:
-            structure = fitted.fit.model.axes[axis].structure
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure
             )
@@ -522,14 +559,15 @@ def _part(flight: Flight, since: float, now: float) -> Flight | None:
     return part if part.segments and part.pose_time.size > 1 else None
 
 
-def scores_of_groups(fitted: Sequence[GroupEstimate], flight: Flight) -> list[Scores]:
+def scores_of_groups(fitted: Sequence[GroupEstimate], flight: Flight, gusts: int | None = None) -> list[Scores]:
     """The scores of each likelihood of the given groups.
 
     Args:
         fitted: Their estimates.
         flight: The flight so far.
+        gusts: As for `scores_of`.
     """
-    return scores_of([part for one in fitted for part in _likelihoods(one)], let_go(flight))
+    return scores_of([part for one in fitted for part in _likelihoods(one)], let_go(flight), gusts)
 
 
 def _likelihoods(fitted: GroupEstimate) -> list[tuple[Estimates, Doubts]]:

@@ -1,9 +1,10 @@
 """The estimate of one group of axes while the flight grows: batch refits, with single steps in between.
 
 A refit is `estimation.fitting.fit` on the flight so far: search, laws, profiles, judgement. It is made each time the
-excited time has grown by `REFIT`, so all refits together cost a few times the last one. Between refits the estimate
-takes a step or two of Fisher scoring on the data so far; its intervals keep the shape that the refit gave them and
-shrink with the information. The last estimate of a flight is that of the batch.
+excited time has grown by `REFIT`, and by `REFIT_SETTLED` while the last one stands, so that all refits together cost
+about as much as the last one. Between refits the estimate takes a step or two of Fisher scoring on the data so far; its
+intervals keep the shape that the refit gave them and shrink with the information. The last estimate of a flight is that
+of the batch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import STRUCTURE, Axis, Interval, Model, unknown_axis
+from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis, Interval, Model, unknown_axis
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES
 from rotorfit.estimation.fitting import fit
@@ -26,8 +27,8 @@ from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.zero_command import commanded_parts
 
-REFIT = 1.5
-"""Growth of the excited time that calls for a refit."""
+REFIT, REFIT_SETTLED = 1.5, 2.0
+"""Growth of the excited time that calls for a refit, and the same as long as the last refit is `_settled`."""
 
 LONGEST = 300.0
 """How far an estimate looks back [s]; older parts of a regime are not used."""
@@ -165,6 +166,31 @@ def doubt_of(axis: Axis) -> dict[str, float]:
     """Coefficient to the standard deviation by which tests of the law found it to vary; the variances of tests add."""
     names = {name for test in axis.evidence for name in test.sd}
     return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in axis.evidence))) for name in names}
+
+
+def growth(fitted: GroupEstimate) -> float:
+    """Growth of the excited time since the last refit that calls for the next."""
+    if not fitted.estimates:
+        return REFIT_UNKNOWN
+    return REFIT_SETTLED if _settled(fitted) else REFIT
+
+
+def _settled(fitted: GroupEstimate) -> bool:
+    """Whether the last refit knew every axis of the group, and its intervals still hold the values.
+
+    Steps then follow the data, and the intervals the information. Only a refit closes an open interval, or shapes one
+    anew around a value far from where it was profiled.
+    """
+    return all(axis in fitted.estimates and _within(fitted, axis) for axis in fitted.group)
+
+
+def _within(fitted: GroupEstimate, axis: str) -> bool:
+    """Whether an axis is known, and its coefficients lie in the intervals of this flight at the last refit."""
+    told = axis_report(fitted, axis).values
+    then, now = (estimands(one.optimum, one.place) for one in (fitted.fit.estimates[axis], fitted.estimates[axis]))
+    moved = {name: now[name].scaled() - then[name].scaled() for name in COEFFICIENTS if told[name] is not None}
+    half = {name: fitted.half[axis][name][0][int(by > 0)] for name, by in moved.items()}
+    return len(moved) == len(COEFFICIENTS) and all(abs(by) < (half[name] or 0.0) for name, by in moved.items())
 
 
 def grown(seen: float, excited: float, growth: float) -> bool:

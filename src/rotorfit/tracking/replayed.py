@@ -24,6 +24,7 @@ def tracked(
     on_state: OnState = lambda _state: None,
     earlier: Earlier | None = None,
     stopped: Stopped = lambda: False,
+    tuned: bool = False,
 ) -> Track:
     """Tracks a recorded flight.
 
@@ -34,6 +35,7 @@ def tracked(
         on_state: Called with each state as it is made.
         earlier: The model of an earlier flight; None if there is none.
         stopped: Called after each look and glance; if it returns true, the flight ends there.
+        tuned: As for `Following`.
 
     Returns:
         All states, the last one after a final fit, and the regimes.
@@ -43,7 +45,7 @@ def tracked(
     """
     if earlier:
         check_earlier(earlier, flight.card)
-    following, ground, states = Following(structure, false_alarms_per_hour, earlier), Ground(), []
+    following, ground, states = Following(structure, false_alarms_per_hour, earlier, tuned), Ground(), []
     seen = 0.0
     for part, now in growing(flight, following.next_look, GLANCE):
         _stand_on(ground, part, seen)

@@ -6,7 +6,7 @@ seconds select the strength that explains them.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -82,6 +82,7 @@ class Scores:
         under_gusts: The scores under stronger gusts, up to the strongest that the last seconds may have had.
         gusts: Strength of the gusts now, judged from all axes without their jolts: 0 for that of the regime, k for
             `GUST_POWERS[k - 1]`; see `_in_one_air`.
+        air: Log-likelihood of each strength in the seconds it is judged from, of all axes together, shape (1 + L,).
     """
 
     time: Array
@@ -95,6 +96,7 @@ class Scores:
     density: Array
     under_gusts: "tuple[Scores, ...]" = ()
     gusts: int = 0
+    air: Array = field(default_factory=lambda: np.zeros(1 + len(GUST_POWERS)))
 
     @cached_property
     def rows(self) -> Array:
@@ -138,14 +140,17 @@ class Scores:
         return np.asarray(self.density[late:].sum(axis=0))
 
 
-def scores_of(parts: Sequence[tuple[Estimates, Doubts]], let_go: Array | None = None) -> list[Scores]:
+def scores_of(
+    parts: Sequence[tuple[Estimates, Doubts]], let_go: Array | None = None, gusts: int | None = None
+) -> list[Scores]:
     """The scores of the likelihoods of one flight.
 
     Args:
         parts: Estimates of each likelihood, and the doubts about their laws.
         let_go: Times at which the commands of x and y became zero, shape (n,) [s]; None to ignore them.
+        gusts: The strength of the gusts now, see `Scores.gusts`; None to judge it.
     """
-    return _in_one_air([_Whitened(*part, np.empty(0) if let_go is None else let_go) for part in parts])
+    return _in_one_air([_Whitened(*part, np.empty(0) if let_go is None else let_go) for part in parts], gusts)
 
 
 def let_go(flight: Flight) -> Array:
@@ -181,12 +186,12 @@ class _Whitened:
         self._density = density.reshape(len(self._levels), -1).T
         self.scores = self._scored(rows)
 
-    def under(self, gusts: int) -> Scores:
-        """The scores, given the strength of gusts that all axes show (see `Scores.gusts`)."""
+    def under(self, gusts: int, air: Array) -> Scores:
+        """The scores, given the strength of gusts that all axes show, and its evidence (see `Scores`)."""
         now = float(self.scores.time[-1])
         strongest = max(gusts, *(int(np.argmax(self.scores.gust_likelihood(now - window))) for window in WINDOWS))
         rows = (whiten(self._rec, self._columns, levels)[0] for levels in self._levels[1 : strongest + 1])
-        return replace(self.scores, under_gusts=tuple(map(self._scored, rows)), gusts=gusts)
+        return replace(self.scores, under_gusts=tuple(map(self._scored, rows)), gusts=gusts, air=air)
 
     def _scored(self, rows: Array) -> Scores:
         """Scores from whitened columns, shape (B, C, K)."""
@@ -224,15 +229,16 @@ class _Whitened:
         )  # fmt: skip
 
 
-def _in_one_air(seen: Sequence[_Whitened]) -> list[Scores]:
+def _in_one_air(seen: Sequence[_Whitened], gusts: int | None) -> list[Scores]:
     """Scores of all likelihoods under the gusts that x and y show; an axis of `TRIMMED` may show stronger ones."""
     horizontal = [_calmest(one.scores, OTHERS) for one in seen if not one.scores.jolts.size]
     out = []
     for one in seen:
         told = [_calmest(one.scores, OWN)] if one.scores.jolts.size else []
         told += [np.sum(horizontal, axis=0)] if horizontal else []
-        gusts = max(int(np.argmax(each)) for each in told)
-        out.append(one.under(min(gusts + 1, len(GUST_POWERS)) if gusts else 0))  # the calmest parts show too little
+        judged = max(int(np.argmax(each)) for each in told)
+        judged = min(judged + 1, len(GUST_POWERS)) if judged else 0  # the calmest parts show too little
+        out.append(one.under(judged if gusts is None else gusts, np.sum(told, axis=0)))
     return out
 
 

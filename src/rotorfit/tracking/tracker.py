@@ -56,6 +56,7 @@ class Tracker:
             tracker by `finish`, by `close`, or as a context manager.
         paced: With `live`, let `update` wait for a machine that does not keep up, rather than skip looks.
         path: File of the recording, if there is one: models and gains name it as their flight.
+        tuned: Whether gains are re-tuned from the models of the states, which are then refitted more often.
 
     Raises:
         TypeError: `card` is not a card, or `after` not a model.
@@ -74,6 +75,7 @@ class Tracker:
         live: bool = False,
         paced: bool = False,
         path: str = UNRECORDED,
+        tuned: bool = False,
     ) -> None:
         if not isinstance(card, Card | str | PathLike):
             raise TypeError(f"expected a card, its name or its file, got {type(card).__name__}")
@@ -84,7 +86,7 @@ class Tracker:
         earlier = after if after is None or isinstance(after, Earlier) else earlier_of(after)
         if earlier:
             check_earlier(earlier, card)
-        promised = structure, false_alarms_per_hour, earlier
+        promised = structure, false_alarms_per_hour, earlier, tuned
         following = Following(*promised)
         self._looks: Looks = LooksBeside(card, path, promised, paced) if live else LooksHere(following)
         self._due = following.next_look

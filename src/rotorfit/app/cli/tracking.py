@@ -216,7 +216,7 @@ def _replayed(
             if regaining:
                 regaining.state(state, round(state.time * 1e9))
 
-        result = tracked(flight, structure, false_alarms, report, earlier, abort)
+        result = tracked(flight, structure, false_alarms, report, earlier, abort, regaining is not None)
     if stopped := abort():
         line_cleared()
         click.echo(f"{log}: ended by {stopped} at {result.states[-1].time:.1f} s", err=True)
@@ -256,7 +256,14 @@ def _listened(
         listening = Listening(lambda: open_listener(link, chosen), patience, seconds, pace, abort)
         path = str(record) if record else UNRECORDED
         with Tracker(
-            chosen, structure, false_alarms, after=earlier, live=True, paced=not listening.live, path=path
+            chosen,
+            structure,
+            false_alarms,
+            after=earlier,
+            live=True,
+            paced=not listening.live,
+            path=path,
+            tuned=regaining is not None,
         ) as tracker:
             remembering = Remembering(memory, tracker) if memory else None
             if remembering and remembering.recalled:

@@ -80,10 +80,11 @@ def main() -> None:
     asked = json.loads(stream.readline())
     os.nice(0 if asked["paced"] else NICE)
     earlier = earlier_of(asked["after"]) if asked["after"] else None
-    tracker = Tracker(card_from_mapping(asked["card"], "of the flight"), after=earlier, path=asked["path"])
+    card, tuned = card_from_mapping(asked["card"], "of the flight"), asked["gains"] is not None
+    tracker = Tracker(card, after=earlier, path=asked["path"], tuned=tuned)
     gains, raised = list[str](), dict[float, str]()
     regaining = None
-    if asked["gains"] is not None:
+    if tuned:
         from rotorfit.app.live.regained import regaining_of
 
         regaining = regaining_of(
@@ -98,7 +99,7 @@ def main() -> None:
             regaining.state(state, now)
         alarms = []
         for one in state.alarms:
-            raised[one.time] = f"{one.time:.1f} s  {one.title}: {one.why}"
+            raised[one.time] = f"{one.time:.2f} s  {one.title}: {one.why}"
             alarms.append((raised[one.time], raised.get(one.raised) if one.revises is not None else None))
         told = {"time": state.time, "words": words_of(state), "alarms": alarms, "gains": list(gains)}
         gains.clear()

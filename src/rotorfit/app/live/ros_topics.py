@@ -208,7 +208,7 @@ class RosTopics:
         if alarm is None:
             return self._status("vehicle", "OK", "as it began", values)
         level = "ERROR" if state.time - alarm.raised <= ALARMING else "WARN"
-        text = f"changed at {alarm.since[0]:.1f} to {alarm.since[1]:.1f} s: {alarm.cause} on {', '.join(alarm.axes)}"
+        text = f"changed at {alarm.since[0]:.1f} to {alarm.since[1]:.1f} s: {alarm.named} on {', '.join(alarm.axes)}"
         values |= {"cause": alarm.cause, "confidence": f"{alarm.confidence:.3g}", "why": alarm.why}
         return self._status("vehicle", level, text, values)
 

@@ -30,9 +30,9 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
             yield _line(state.time, name, f"{axis.state}{_numbers(axis)}")
     given = before is not None and before.air is not None
     if state.air and not given:
-        yield _line(state.time, "air", f"{_wind(state.air)}; from now on, as this flight tells enough of x and y")
+        yield _line(state.time, "air", f"{_wind(state.air)}; x and y are now known well enough for it")
     elif given and not state.air:
-        yield _line(state.time, "air", "no mean wind: this flight does not tell enough of x and y")
+        yield _line(state.time, "air", "x and y are no longer known well enough for the wind")
 
 
 def _line(time: float, name: str, text: str) -> Text:
@@ -72,18 +72,20 @@ def line_of(state: Tracked) -> str:
 def alarm_view(alarm: Alarm) -> View:
     """What changed, when, by how much, and the reason for the named cause."""
     low, high = alarm.since
-    head = Text(f"{alarm.time:7.1f} s  {alarm.title}", style="bold red" if alarm.revises is None else "red")
+    head = Text(f"{alarm.time:7.2f} s  {alarm.title}", style="bold red" if alarm.revises is None else "red")
     if high > 0:  # a vehicle that is another one since the start has not changed
         head.append(f", since {low:.1f} to {high:.1f} s", style="default")
     yield head
     yield indented(f"{alarm.why}.", 11)
-    spoken = ((name, re.sub("[._]", " ", name), ends) for name, ends in alarm.change.items())
-    changed = (f"{words} {_change(name)} {a:.3g} to {b:.3g}" for name, words, (a, b) in spoken)
-    yield indented("; ".join(changed) + ".", 11)
+    if alarm.change:
+        changed = (_changed(name, ends, alarm.unit(name)) for name, ends in alarm.change.items())
+        yield indented(f"{'; '.join(changed)}.", 11)
 
 
-def _change(name: str) -> str:
-    return "by" if name.endswith((".delay", ".lag", ".total_lag", ".trim")) else "times"
+def _changed(name: str, ends: tuple[float, float], unit: str) -> str:
+    """What changed, and the interval of the difference, or of the ratio where there is no unit."""
+    words, (low, high) = re.sub("[._]", " ", name), ends
+    return f"{words} by {low:.3g} to {high:.3g} {unit}" if unit else f"{words} times {low:.3g} to {high:.3g}"
 
 
 def gains_view(message: Mapping[str, Any]) -> View:
@@ -130,7 +132,7 @@ def track_view(result: Track) -> View:
     if len(result.regimes) > 1:
         yield ""
         yield from bullets(
-            f"{one.start:.1f} to {one.end:.1f} s: {one.begun_by.cause if one.begun_by else 'as it began'}"
+            f"{one.start:.1f} to {one.end:.1f} s: {one.begun_by.named if one.begun_by else 'as it began'}"
             for one in result.regimes
         )
 

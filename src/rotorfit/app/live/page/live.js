@@ -139,8 +139,12 @@ function alarmed(alarm) { // a revision takes the place of its alarm
   if (before) { alarms[before.number] = alarm.since[0]; before.box.remove(); }
   const number = before ? before.number : alarms.push(alarm.since[0]) - 1;
   const box = made("div", "alarm"), head = made("div");
-  head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, raised at ${(alarm.revises ?? alarm.time).toFixed(1)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
-  const changes = Object.entries(alarm.change).map(([name, [low, high]]) => `${name.replace(".", " ")} ${/delay|trim/.test(name) ? "by" : "times"} ${figure(low)} to ${figure(high)}`);
+  head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, raised at ${(alarm.revises ?? alarm.time).toFixed(2)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
+  const changes = Object.entries(alarm.change).map(([name, [low, high]]) => {
+    const [axis, what] = name.split("."), seconds = alarm.cause === "another_vehicle" ? ["delay", "lag", "total_lag"] : ["delay"];
+    const unit = what === "trim" ? unitOf("{}/s²", axis) : seconds.includes(what) ? "s" : "";
+    return `${axis} ${what.replaceAll("_", " ")} ${unit ? "by" : "times"} ${figure(low)} to ${figure(high)}${unit && ` ${unit}`}`;
+  });
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
   raised.set(alarm.time, {box, number});
   noted(box);
