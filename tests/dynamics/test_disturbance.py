@@ -13,7 +13,7 @@ from rotorfit.dynamics.disturbance import (
     distinct_steps,
     stationary,
 )
-from rotorfit.dynamics.whitening import whiten_axis, whiten_plane
+from whole_filters import whiten_axis, whiten_plane
 
 Array = np.ndarray
 

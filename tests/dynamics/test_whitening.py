@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from rotorfit.core.laws import START_LEVELS
+from rotorfit.dynamics import whitening
 from rotorfit.dynamics.disturbance import distinct_steps
-from rotorfit.dynamics.whitening import WIDTH, whiten_axis, whiten_plane
+from rotorfit.dynamics.whitening import WIDTH
+from whole_filters import whiten_axis, whiten_plane
 
 Array = np.ndarray
 
@@ -55,3 +57,16 @@ def test_a_vehicle_that_does_not_turn_has_two_axes_that_know_nothing_of_each_oth
         np.testing.assert_allclose(plane[0][:, a], line[0], rtol=0, atol=1e-9 * np.abs(line[0]).max())
         np.testing.assert_allclose(plane[1][:, :, a], line[1], rtol=0, atol=1e-9 * np.abs(line[0]).max())
         np.testing.assert_allclose(plane[2][:, :, a], line[2], rtol=1e-11)
+
+
+def test_pieces_are_the_whole_whatever_their_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    common, many = blocks(5), levels(6, 2)
+    columns, yaw = np.random.default_rng(6).standard_normal((B, 2, WIDTH + 3)), np.linspace(0, 2, B)
+
+    def filtered(piece: int) -> tuple[Array, ...]:
+        monkeypatch.setattr(whitening, "PIECE", piece)
+        line, plane = whiten_axis(*common, columns[:, 0], many[:, 0], 4), whiten_plane(*common, yaw, columns, many, 4)
+        return *line, *plane
+
+    for found, expected in zip(filtered(7), filtered(B), strict=True):
+        np.testing.assert_array_equal(found, expected)

@@ -21,7 +21,6 @@ from rotorfit.core.log import Log, Table
 from rotorfit.core.results import Fit
 from rotorfit.dynamics.protocol import predict_flight
 from rotorfit.dynamics.velocity_fusion import whiten_fused
-from rotorfit.dynamics.whitening import whiten_axis, whiten_plane
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, record
@@ -34,6 +33,7 @@ from rotorfit.files.models import load, save
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.stamps import coarse, grain
 from rotorfit.simulation.paper_vehicle import SimulatedFlight, Truth, simulate_flight
+from whole_filters import whiten_axis, whiten_plane
 
 pytestmark = pytest.mark.flights
 

@@ -86,7 +86,7 @@ class Page(HTMLParser):
 
 COMPUTED = {
     "predict_flight", "free_run_prediction", "residuals", "residual_tests_of_flight", "correlograms",
-    "paired_test", "whiten_axis", "whiten_plane", "whiten_fused", "axis_response", "horizontal_response",
+    "paired_test", "axis_pieces", "plane_pieces", "whiten_fused", "axis_response", "horizontal_response",
     "motion_response", "lagged_axis_response", "predict", "record", "local_polynomial", "motion_from_flight",
     "coefficient_rows", "scores_of", "physics_rows",
 }  # fmt: skip

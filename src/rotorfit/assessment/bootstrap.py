@@ -54,7 +54,7 @@ MOST = 12
 
 @kernel(fastmath={"contract"})
 def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: Array, levels: Array) -> Array:
-    """Inverse of `whitening.whiten_axis`: positions (B, R) whose standardised innovations are the given ones (B, R)."""
+    """Inverse of `whitening.axis_pieces`: positions (B, R) whose standardised innovations are the given ones (B, R)."""
     B, R = innovations.shape
     out = np.empty((B, R))
     F, Q = step_tables(steps, levels[2], levels[3])
@@ -82,7 +82,7 @@ def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: 
 def colour_plane(
     steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, innovations: Array, levels: Array
 ) -> Array:
-    """Inverse of `whitening.whiten_plane`: positions (B, R, 2), heading frame, from innovations (B, R, 2)."""
+    """Inverse of `whitening.plane_pieces`: positions (B, R, 2), heading frame, from innovations (B, R, 2)."""
     B, R, _ = innovations.shape
     out = np.empty((B, R, 2))
     F, Q = np.zeros((1, 2, steps.size, 3, 3)), np.zeros((1, 2, steps.size, 3, 3))

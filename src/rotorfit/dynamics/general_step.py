@@ -8,6 +8,7 @@ same steps.
 Source: G. Strang, SIAM J. Numer. Anal. 5 (1968), pp. 506-517, for the splitting.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,30 @@ def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> floa
     if place == DEAD and 0.0 < over < law[a, LEVEL]:
         return -law[a, GAIN] * (sign + law[a, ASYMMETRY])  # type: ignore[no-any-return]
     return other if place == CROSS_INPUT else 0.0
+
+
+def demand_slopes(law: Array, place: Sequence[int], command: Array) -> Array:
+    """Derivative of the demand of each axis by an element of its law, for many commands of the axis alone.
+
+    Args:
+        law: Vectors of the law by axis, shape (K, LAW_SIZE).
+        place: The element for each axis; `NOTHING` for none. By `GAIN` it is the command as the law shapes it.
+        command: Shape (M, K).
+
+    Returns:
+        Shape (M, K).
+    """
+    out: Array = np.zeros(command.shape)
+    _fill_demand_slopes(law, np.array(place), np.ascontiguousarray(command), out)
+    return out
+
+
+@kernel()
+def _fill_demand_slopes(law: Array, place: Any, command: Array, out: Array) -> None:
+    """The compiled loop."""
+    for a in range(law.shape[0]):
+        for m in range(command.shape[0]):
+            out[m, a] = demand_slope(law, a, place[a], command[m, a], 0.0)
 
 
 def lag_series(law: Array) -> Array:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices
-from rotorfit.dynamics.compiled import kernel
+from rotorfit.dynamics.compiled import inner, kernel
 
 VANISHING = 1e-200
 """Size below which a state that decays counts as zero; in any unit, it is far below the rounding of what it acts on."""
@@ -52,11 +52,11 @@ def transition(b: float, dt: float) -> Any:
     return f, k, h, df, dk, dh
 
 
-@kernel(inline="always")
+@inner(inline="always")
 def vanished(x: float) -> float:
     """A decaying state, or zero where nothing is left of it.
 
-    After minutes of decay a number is denormal, and a processor computes with such numbers ten times as slowly or more.
+    After minutes of decay a number is denormal, and processors compute with such numbers many times as slowly.
     """
     return 0.0 if abs(x) < VANISHING else x
 

@@ -6,7 +6,7 @@ filters for a block lie in one row of an array, in slots of four numbers each: t
 overlaps, so that it vectorises over the four.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -164,20 +164,6 @@ the next piece."""
 def _pieces(B: int) -> list[slice]:
     """The stretches of B blocks that are filtered one after the other."""
     return [slice(low, min(low + PIECE, B)) for low in range(0, B, PIECE)]
-
-
-def _joined(pieces: Iterable[Piece]) -> tuple[Array, Array, Array]:
-    """All pieces together, as `whiten_axis` returns them."""
-    parts = [[part.copy() for part in arrays] for _, *arrays in pieces]
-    first, others, variances = (np.concatenate(part, axis=min(n, 1)) for n, part in enumerate(zip(*parts, strict=True)))
-    return first, others, variances
-
-
-def whiten_axis(
-    steps: Array, step: Indices, count: Array, fresh: Mask, columns: Array, levels: Array, few: int
-) -> tuple[Array, Array, Array]:
-    """All pieces of `axis_pieces` together: (B, C), (M - 1, B, few) and (M, B)."""
-    return _joined(axis_pieces(steps, step, count, fresh, columns, levels, few))
 
 
 def axis_pieces(
@@ -457,14 +443,6 @@ def turns(yaw: Array, fresh: Mask) -> Array:
     """Cosine and sine of half the turn that leads to each block, and of the heading there, shape (B, 4)."""
     half = np.where(fresh, 0.0, 0.5 * np.diff(yaw, prepend=yaw[:1]))
     return np.column_stack([np.cos(half), np.sin(half), np.cos(yaw), np.sin(yaw)])
-
-
-def whiten_plane(
-    steps: Array, step: Indices, count: Array, fresh: Mask, yaw: Array, columns: Array, levels: Array, few: int
-) -> tuple[Array, Array, Array]:
-    """All pieces of `plane_pieces` together, at headings `yaw` (B,) [rad]: (B, 2, C), (M - 1, B, 2, few), (M, B, 2)."""
-    pieces = plane_pieces(steps, step, count, fresh, turns(yaw, fresh), columns, levels, few)
-    return _joined(pieces)
 
 
 def plane_pieces(

@@ -11,19 +11,21 @@ import numpy as np
 
 from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.laws import (
+    ASYMMETRY,
     DAMPING,
+    DEAD,
     DELAY,
     FIRST_ORDER_DELAY,
     GAIN,
     LAG,
+    LEVEL,
     TRIM,
     ZERO,
     Structure,
-)
+)  # fmt: skip
 from rotorfit.dynamics.general_response import motion_response
-from rotorfit.dynamics.general_step import COLUMNS, MEAN, NOTHING, START
+from rotorfit.dynamics.general_step import COLUMNS, MEAN, NOTHING, START, demand_slopes
 from rotorfit.dynamics.horizontal_response import horizontal_response
-from rotorfit.dynamics.input_shape import SHAPES, shape_of, shape_slope
 from rotorfit.dynamics.lagged_response import lagged_axis_response
 from rotorfit.dynamics.response import axis_response
 from rotorfit.estimation.likelihood.blocks import Record
@@ -49,9 +51,11 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
     laws[:, TRIM] = point.trim[flight]
     command = rec.switches[1]
     if all(_shapes_commands(one) for one in structures):
+        if not len(point.extra):
+            return _plain_response(rec, laws, start, command)
         return _shaped_response(rec, structures, laws, start, command)
     if all(one.linear and not one.kicks and one.order < 2 for one in structures) and len(laws) == 2:
-        return _horizontal_response(rec, laws, start, command, bool(len(point.extra)))
+        return _horizontal_response(rec, laws, start, command, lagged=True)
     if not structures[0].linear or len(laws) == 2:
         return _general_response(rec, point, laws, start)
     return _lagged_response(rec, point, laws, start)
@@ -59,32 +63,33 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
 
 def _shapes_commands(structure: Structure) -> bool:
     """Whether the law is of first order, of a command that may be limited, cut or uneven."""
-    return not structure.order and {one.place for one in structure.extras} <= set(SHAPES)
+    return not structure.order and {one.place for one in structure.extras} <= {ASYMMETRY, LEVEL, DEAD}
 
 
 def _shaped_response(
     rec: Record, structures: Sequence[Structure], laws: Array, start: Array, command: Array
 ) -> tuple[Array, Array]:
-    """`response` under laws that shape the commands: the derivative by a shape is the response to the derivative."""
-    K, E = len(laws), max(len(one.extras) for one in structures)
-    shaped = np.column_stack([shape_of(law, u) for law, u in zip(laws, command.T, strict=True)])
-    mean, columns = _plain_response(rec, laws, start, shaped)
+    """`response` under laws that shape commands: the derivative by a shape is the response to the demand's derivative.
+
+    The motion is linear in the demand, and g times the shaped command is the demand.
+    """
+    K = len(laws)
+    mean, columns = _plain_response(rec, laws, start, demand_slopes(laws, (GAIN,) * K, command))
     by_shape = []
-    for e in range(E):
-        slopes = np.zeros_like(command)
-        for k, (structure, law) in enumerate(zip(structures, laws, strict=True)):
-            if e < len(structure.extras):
-                extra = structure.extras[e]
-                scale = law[extra.place] if extra.logarithmic else 1.0
-                slopes[:, k] = scale * law[GAIN] * shape_slope(law, extra.place, command[:, k])
-        by_shape.append(_plain_response(rec, laws, start, slopes)[1][:, :K])
+    for e in range(max(len(one.extras) for one in structures)):
+        extras = [one.extras[e] if e < len(one.extras) else None for one in structures]
+        slopes = demand_slopes(laws, [extra.place if extra else NOTHING for extra in extras], command)
+        for k, extra in enumerate(extras):
+            if extra and extra.logarithmic:
+                slopes[:, k] *= laws[k, extra.place]
+        by_shape.append(_plain_response(rec, laws, start, slopes)[1][:, :K])  # by the gain: to a demand as it is
     return mean, np.concatenate([columns[:, : 3 * K], *by_shape, columns[:, 3 * K :]], axis=1)
 
 
 def _plain_response(rec: Record, laws: Array, start: Array, command: Array) -> tuple[Array, Array]:
     """`response` under the first-order law with a delay, to commands at the switches of the record, shape (M, K)."""
     if len(laws) == 2:
-        return _horizontal_response(rec, laws, start, command, False)
+        return _horizontal_response(rec, laws, start, command, lagged=False)
     return _axis_response(rec, laws[0], start, command)
 
 
