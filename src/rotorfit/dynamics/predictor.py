@@ -10,11 +10,12 @@ import numpy as np
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DELAY, TRIM
 from rotorfit.dynamics.compiled import inner, kernel
-from rotorfit.dynamics.filter_bank import bank_tables, judge, move, probe, start_bank, take
+from rotorfit.dynamics.filter_bank import COLUMNS_FILTERED, bank_tables, judge, move, probe, start_bank, take
 from rotorfit.dynamics.free_runs import STATE as RUN
 from rotorfit.dynamics.free_runs import free_runs
 from rotorfit.dynamics.general_response import advance, demands, longest_step, settle
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, START, STATE, P, Q, T, V, lag_series
+from rotorfit.dynamics.response import VANISH_EVERY, vanished
 from rotorfit.dynamics.start_state import empty_sum, row_size, sum_bank
 
 _WHAT, _WHOSE = np.array([MEAN, TRIM, TRIM, START, START]), np.array([0, 0, 1, 0, 1])
@@ -157,6 +158,12 @@ def _filter(
                     filter_law, filter_series, longest, what, whose, z, u, S,
                 )  # fmt: skip
                 move(bank, table, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
+                if i % VANISH_EVERY == 0:  # the responses to start velocities, which decay
+                    for n in range(z.size):
+                        z[n] = vanished(z[n])
+                    for j in range(COLUMNS_FILTERED):
+                        for n in range(bank.winds.shape[1]):
+                            bank.winds[j, n] = vanished(bank.winds[j, n])
             c, sn = np.cos(yaw[i]), np.sin(yaw[i])
             for a in range(2):
                 if not tracked[i, a]:
