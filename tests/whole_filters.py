@@ -13,14 +13,14 @@ def whiten_axis(
     steps: Array, step: Array, count: Array, fresh: Array, columns: Array, levels: Array, few: int
 ) -> tuple[Array, Array, Array]:
     """All pieces of `axis_pieces` together: (B, C), (M - 1, B, few) and (M, B)."""
-    return _joined(axis_pieces(steps, step, count, fresh, columns, levels, few))
+    return _joined(axis_pieces(steps, step, count, fresh, [columns], levels, few))
 
 
 def whiten_plane(
     steps: Array, step: Array, count: Array, fresh: Array, yaw: Array, columns: Array, levels: Array, few: int
 ) -> tuple[Array, Array, Array]:
     """All pieces of `plane_pieces` together, at headings `yaw` (B,) [rad]: (B, 2, C), (M - 1, B, 2, few), (M, B, 2)."""
-    return _joined(plane_pieces(steps, step, count, fresh, turns(yaw, fresh), columns, levels, few))
+    return _joined(plane_pieces(steps, step, count, fresh, turns(yaw, fresh), [columns], levels, few))
 
 
 def _joined(pieces: Iterable[Piece]) -> tuple[Array, Array, Array]:

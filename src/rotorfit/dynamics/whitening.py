@@ -6,7 +6,7 @@ filters for a block lie in one row of an array, in slots of four numbers each: t
 overlaps, so that it vectorises over the four.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -167,7 +167,7 @@ def _pieces(B: int) -> list[slice]:
 
 
 def axis_pieces(
-    steps: Array, step: Indices, count: Array, fresh: Mask, columns: Array, levels: Array, few: int
+    steps: Array, step: Indices, count: Array, fresh: Mask, columns: Sequence[Array], levels: Array, few: int
 ) -> Iterator[Piece]:
     """Filters columns of one axis with M filters. The first column goes side by side with the covariances.
 
@@ -176,7 +176,7 @@ def axis_pieces(
         step: Index of the step that leads to each block, shape (B,).
         count: Poses in each block, shape (B,): the noise of a block is r / count.
         fresh: True where a segment starts and the filters restart, shape (B,).
-        columns: Data and sensitivities, shape (B, C).
+        columns: Data and sensitivities, in arrays of shape (B, ...) whose last dimensions add up to C.
         levels: q, r, alpha, kappa of each filter, shape (M, 4).
         few: Number of columns for the filters after the first, at least one; the first filters all.
 
@@ -184,18 +184,18 @@ def axis_pieces(
         The blocks of the piece, b of them; innovations over their standard deviation of the first filter, (b, C), and
         of the others, (M - 1, b, few); and the innovation variances, (M, b).
     """
-    (B, C), M = columns.shape, len(levels)
-    b, G, kept = min(B, PIECE), _groups(levels), M if few > 1 else 1
-    columns, levels = np.ascontiguousarray(columns), np.ascontiguousarray(levels)
+    B, C, M = step.size, sum(part.shape[-1] for part in columns), len(levels)
+    b, G, kept, levels = min(B, PIECE), _groups(levels), M if few > 1 else 1, np.ascontiguousarray(levels)
     F, Q, table = np.empty((3, 3)), np.empty((3, 3)), np.empty((steps.size, G, 12 * LANES))
     w, gains, z = np.zeros((G, 28 * LANES)), np.empty((kept, b, 4)), np.empty((kept, -(-C // WIDTH), 3 * WIDTH))
-    out, others, variances = np.empty((b, C)), np.empty((M - 1, b, few)), np.empty((M, b))
+    beside, out, others, variances = np.empty((b, C)), np.empty((b, C)), np.empty((M - 1, b, few)), np.empty((M, b))
     for at in _pieces(B):
-        _whiten_axis(
-            steps, step[at], count[at], fresh[at], columns[at], levels, LANES, at.start == 0, F, Q, table, w, gains, z,
-            out, others, variances,
-        )  # fmt: skip
         n = at.stop - at.start
+        some = np.concatenate([part[at] for part in columns], axis=1, out=beside[:n])
+        _whiten_axis(
+            steps, step[at], count[at], fresh[at], some, levels, LANES, at.start == 0, F, Q, table, w, gains, z, out,
+            others, variances,
+        )  # fmt: skip
         yield at, out[:n], others[:, :n], variances[:, :n]
 
 
@@ -446,7 +446,14 @@ def turns(yaw: Array, fresh: Mask) -> Array:
 
 
 def plane_pieces(
-    steps: Array, step: Indices, count: Array, fresh: Mask, turn: Array, columns: Array, levels: Array, few: int
+    steps: Array,
+    step: Indices,
+    count: Array,
+    fresh: Mask,
+    turn: Array,
+    columns: Sequence[Array],
+    levels: Array,
+    few: int,
 ) -> Iterator[Piece]:
     """Filters horizontal columns with M six-state filters that rotate with the heading.
 
@@ -456,7 +463,7 @@ def plane_pieces(
         count: Poses in each block, shape (B,).
         fresh: True where a segment starts, shape (B,).
         turn: From `turns`, shape (B, 4).
-        columns: Data and sensitivities in the world frame, shape (B, 2, C).
+        columns: Data and sensitivities in the world frame, in arrays of shape (B, 2, ...) as for `axis_pieces`.
         levels: q, r, alpha, kappa of x and y of the heading frame, of each filter, shape (M, 2, 4).
         few: Number of columns for the filters after the first, at least one; the first filters all.
 
@@ -464,19 +471,20 @@ def plane_pieces(
         The blocks of the piece, b of them; innovations over their standard deviation, forward then left, of the first
         filter, (b, 2, C), and of the others, (M - 1, b, 2, few); and the innovation variances, (M, b, 2).
     """
-    (B, _, C), M = columns.shape, len(levels)
+    B, C, M = step.size, sum(part.shape[-1] for part in columns), len(levels)
     b, G, kept = min(B, PIECE), _groups(levels), M if few > 1 else 1
-    columns, levels = np.ascontiguousarray(columns), np.ascontiguousarray(levels.transpose(1, 0, 2))
+    levels = np.ascontiguousarray(levels.transpose(1, 0, 2))
     F, Q, tables = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, steps.size, G, 12 * LANES))
     w, gains, z = np.zeros((G, 71 * LANES)), np.empty((kept, b, 14)), np.empty((kept, -(-C // WIDTH), 8 * WIDTH))
-    along, out = np.empty((b, 2, C)), np.empty((b, 2, C))
+    beside, along, out = np.empty((3, b, 2, C))
     others, variances = np.empty((M - 1, b, 2, few)), np.empty((M, b, 2))
     for at in _pieces(B):
-        _whiten_plane(
-            steps, step[at], count[at], fresh[at], turn[at], columns[at], levels, LANES, at.start == 0, F, Q, tables, w,
-            gains, z, along, out, others, variances,
-        )  # fmt: skip
         n = at.stop - at.start
+        some = np.concatenate([part[at] for part in columns], axis=2, out=beside[:n])
+        _whiten_plane(
+            steps, step[at], count[at], fresh[at], turn[at], some, levels, LANES, at.start == 0, F, Q, tables, w, gains,
+            z, along, out, others, variances,
+        )  # fmt: skip
         yield at, out[:n], others[:, :n], variances[:, :n]
 
 

@@ -48,17 +48,17 @@ def whiten_under(rec: Record, columns: Array, levels: Array) -> tuple[Array, Arr
     """
     B, C, K = columns.shape
     rows, first, variances = np.empty((B, K, C)), np.empty((len(levels), B, K)), np.empty((len(levels), B, K))
-    for at, own, others, variance in _filtered(rec, columns.transpose(0, 2, 1), levels, 1):
+    for at, own, others, variance in _filtered(rec, [columns.transpose(0, 2, 1)], levels, 1):
         rows[at], first[0, at], first[1:, at], variances[:, at] = own, own[:, :, 0], others[:, :, :, 0], variance
     return rows.transpose(0, 2, 1), first, variances
 
 
-def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> Iterator[Piece]:
+def _filtered(rec: Record, columns: Sequence[Array], levels: Array, few: int) -> Iterator[Piece]:
     """Passes columns through filters of several levels, piece by piece.
 
     Args:
         rec: The flight.
-        columns: Shape (B, K, C), world frame.
+        columns: World frame, in arrays of shape (B, K, ...) whose last dimensions add up to C.
         levels: Log levels, shape (M, K, L).
         few: Number of columns for all filters but the first, which takes all of them.
 
@@ -68,15 +68,16 @@ def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> Iterator[
     """
     values = np.exp(levels)
     if rec.rate is not None:
-        turned = columns.transpose(0, 2, 1)
+        turned = np.concatenate(columns, axis=2).transpose(0, 2, 1)
         passed = [fused(rec, turned if m == 0 else turned[:, :few], one) for m, one in enumerate(values)]
         rows = [part.transpose(0, 2, 1) for part, _ in passed]
-        others = np.array(rows[1:]).reshape(len(rows) - 1, *columns.shape[:2], few)
-        yield slice(0, len(columns)), rows[0], others, np.array([variance for _, variance in passed])
+        others = np.array(rows[1:]).reshape(len(rows) - 1, rec.count.size, len(rec.axes), few)
+        yield slice(0, rec.count.size), rows[0], others, np.array([variance for _, variance in passed])
     elif len(rec.axes) == 2:
         yield from plane_pieces(rec.steps, rec.step, rec.count, rec.fresh, rec.turn, columns, values, few)
     else:
-        alone = axis_pieces(rec.steps, rec.step, rec.count, rec.fresh, columns[:, 0], values[:, 0], few)
+        along = [part[:, 0] for part in columns]
+        alone = axis_pieces(rec.steps, rec.step, rec.count, rec.fresh, along, values[:, 0], few)
         for at, first, others, variance in alone:
             yield at, first[:, None], others[:, :, None], variance[:, :, None]
 
@@ -220,9 +221,8 @@ def score(
         own = np.array([0, *range(few, few + sensitivity.shape[1])])
         innovations.append(np.empty((rec.count.size, K)))
         places = _places(rec, point, j, at)
-        for piece, rows, others, variance in _filtered(
-            rec, np.concatenate(columns, axis=1).transpose(0, 2, 1), levels, few
-        ):
+        turned = [part.transpose(0, 2, 1) for part in columns]
+        for piece, rows, others, variance in _filtered(rec, turned, levels, few):
             log_variance = np.log(variance).reshape(len(levels), -1)
             for where, part in _parts(rec, places, piece):
                 product = _gram(rows[part])
@@ -356,7 +356,8 @@ def adjustment(records: Sequence[Record], point: Point, restricted: Restriction)
     found = _Slopes.none(point.n, 0)
     for j, (rec, at) in enumerate(_flights(records)):
         places = _places(rec, point, j, at)
-        for piece, rows, _, _ in _filtered(rec, restricted.sensitivities[j].transpose(0, 2, 1), point.levels[None], 1):
+        columns = [restricted.sensitivities[j].transpose(0, 2, 1)]
+        for piece, rows, _, _ in _filtered(rec, columns, point.levels[None], 1):
             for where, part in _parts(rec, places, piece):
                 found.projected[where[:, None], where] += _gram(rows[part])
     return found.adjustment(point.levels.ravel(), restricted.active).value
