@@ -221,8 +221,10 @@ def held_integrals(switch: Array, values: Sequence[Array], count: int) -> list[S
 
 
 def _regular(time: Array) -> Array:
-    """Twice as many regular times as there are poses, from the first to a step before the last."""
-    count = 2 * int(np.ceil((time[-1] - time[0]) / float(np.median(np.diff(time)))))
+    """At least twice as many regular times as there are poses, from the first to a step before the last."""
+    from scipy.fft import next_fast_len
+
+    count = next_fast_len(2 * int(np.ceil((time[-1] - time[0]) / float(np.median(np.diff(time))))), real=True)
     return np.asarray(time[0] + (time[-1] - time[0]) / count * np.arange(count))
 
 
