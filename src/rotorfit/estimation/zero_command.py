@@ -141,7 +141,7 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
     The C accelerations are the commands of each age in `LAGS`, then unit damping, then unit braking.
     """
     k, K, point = estimate.place, len(rec.axes), estimate.optimum.point
-    samples = np.zeros((rec.pose_time.size, len(LAGS) + 2, K))
+    groups = np.zeros((rec.weight.size, len(LAGS) + 2, K))
     lags = np.array([_lag(point, j) for j in range(K)])
     for number, (first, last) in enumerate(rec.pose_range):
         c0, c1 = rec.command_range[number]
@@ -161,10 +161,10 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
             pull = np.zeros((time.size, K))
             pull[:, k] = each
             position = _moved(pull, np.exp(point.log_damping), yaw, np.zeros(K))[0]
-            samples[first:last, column] = position[before] * (1 - part) + position[before + 1] * part
-    flat = samples.reshape(len(samples), -1)
-    groups = np.stack([np.bincount(rec.block, column) for column in flat.T], axis=1) * rec.weight[:, None]
-    return np.ascontiguousarray(rec.observed(groups).reshape(-1, len(LAGS) + 2, K))
+            seen = position[before] * (1 - part) + position[before + 1] * part
+            for j in range(K):
+                groups[:, column, j] += np.bincount(rec.block[first:last], seen[:, j], rec.weight.size)
+    return rec.observed(groups * rec.weight[:, None, None])
 
 
 def _lagged(pull: Array, lags: Array) -> Array:
