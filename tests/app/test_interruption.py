@@ -87,3 +87,32 @@ def test_whoever_else_handles_the_signal_is_left_alone() -> None:
     finally:
         signal.signal(signal.SIGINT, before)
     assert told == [signal.SIGINT]
+
+
+BESIDE = """
+import time
+import click
+from rotorfit.app.cli import main
+from rotorfit.core import parallel
+
+@main.command("wait")
+def wait():
+    click.echo("begun")
+    list(parallel.each(lambda _: time.sleep(60.0), range(2), parallel.LONG))
+
+main()
+"""
+
+
+def test_an_interrupt_does_not_wait_for_work_in_threads() -> None:
+    code = BESIDE.replace("import time", "import os, time\nos.cpu_count = lambda: 2", 1)
+    with subprocess.Popen(
+        [sys.executable, "-u", "-c", code, "wait"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout
+        assert process.stderr
+        assert process.stdout.readline() == "begun\n"
+        time.sleep(0.5)  # the threads have begun
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30.0) == 1
+        assert process.stderr.read().strip() == "Aborted!"

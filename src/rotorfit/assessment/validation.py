@@ -9,6 +9,7 @@ import numpy as np
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
 from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.whiteness import REACH, findings_of_residuals, residual_tests
+from rotorfit.core import parallel
 from rotorfit.core.error_bands import BandScore
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
@@ -171,7 +172,13 @@ def _score_flight(
     errors: dict[str, list[Errors]] = {name: [] for name in ("model", *BASELINES)}
     bands: dict[float, list[Stated]] = {horizon: [] for horizon in horizons}
     (begin, end), longest = flight.span, max(horizons)
+
+    def of_regression(dynamics: Mapping[str, AxisDynamics]) -> list[Errors]:
+        return [judged(part, part.predicted, horizons) for part in predictions(flight, dynamics, longest)]
+
     report(0.0)
+    paper = paper_dynamics(model, flight)
+    regressed = parallel.each(of_regression, [paper], flight.duration)
     for part in predictions(flight, dynamics_from_model(model, flight), longest):
         errors["model"].append(judged(part, part.predicted, horizons))
         errors["hold"].append(judged(part, hold_velocity(part), horizons))
@@ -179,10 +186,8 @@ def _score_flight(
         for horizon, each in bands.items():
             each.append(stated(part, horizon))
         report(0.5 * (part.start[-1] - begin) / (end - begin))
-    paper = paper_dynamics(model, flight)
-    for part in predictions(flight, paper, longest):
-        errors["paper"].append(judged(part, part.predicted, horizons))
-        report(0.5 + 0.3 * (part.start[-1] - begin) / (end - begin))
+    errors["paper"] = next(regressed)
+    report(0.8)
 
     known = np.array([model.axes[axis].predictor is not None for axis in AXES])
     wanted = dict.fromkeys(errors, np.isfinite(coefficients[::2])) | {"model": known, "hold": np.ones(4, bool)}
@@ -220,19 +225,24 @@ def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
 
 def residual_tests_of_flight(model: Model, flight: Flight) -> dict[str, ResidualTests]:
     """Tests of the innovations of the axes that a flight commands and the model knows."""
+    every = parallel.each(lambda rec: _tests_of_record(model, flight, rec), _records(model, flight), flight.duration)
+    return {axis: tests for some in every for axis, tests in some.items()}
+
+
+def _tests_of_record(model: Model, flight: Flight, rec: Record) -> dict[str, ResidualTests]:
+    """`residual_tests_of_flight` for the axes of one record."""
     found: dict[str, ResidualTests] = {}
     fitted = _was_fitted(model, flight)
-    for rec in _records(model, flight):
-        own, at_fitted = _explained(model, rec, own_levels=True), _explained(model, rec, own_levels=False)
-        for axis, each in _residuals_of(model, flight, rec, own).items():
-            if axis not in flight.moved:
-                continue
-            covariance = np.zeros((3, 3)) if fitted else coefficient_covariance(model, axis)
-            training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)
-            share = flight.duration / training if training > 0 and not fitted else 0.0
-            innovation = at_fitted.score.innovations[0][:, rec.axes.index(axis)]
-            tests = residual_tests(each.innovations, innovation, covariance, share)
-            found |= {axis: tests} if tests else {}
+    own, at_fitted = _explained(model, rec, own_levels=True), _explained(model, rec, own_levels=False)
+    for axis, each in _residuals_of(model, flight, rec, own).items():
+        if axis not in flight.moved:
+            continue
+        covariance = np.zeros((3, 3)) if fitted else coefficient_covariance(model, axis)
+        training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)
+        share = flight.duration / training if training > 0 and not fitted else 0.0
+        innovation = at_fitted.score.innovations[0][:, rec.axes.index(axis)]
+        tests = residual_tests(each.innovations, innovation, covariance, share)
+        found |= {axis: tests} if tests else {}
     return found
 
 

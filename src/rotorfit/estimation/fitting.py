@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rotorfit.core import parallel
 from rotorfit.core.card import Prior
 from rotorfit.core.errors import CardError, FlightError, ModelError
 from rotorfit.core.flight_data import Flight, Note
@@ -112,8 +113,13 @@ def fit(
     }
     model = _of_the_vehicle(_model(flights, method, paper, found), found.estimates, flights, serving)
     model = _with_plain(model, found.plain, flights, serving)
-    braked = {axis: (test, sum(f.duration for f in parts[axis])) for axis, test in tested.items()}
+    braked = {axis: (test, _duration(parts[axis])) for axis, test in tested.items()}
     return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers, braked)
+
+
+def _duration(flights: Sequence[Flight]) -> float:
+    """Duration of the flights together [s]."""
+    return sum(f.duration for f in flights)
 
 
 def _of_the_vehicle(
@@ -204,15 +210,19 @@ def _found(
     report: Progress,
 ) -> _Found:
     """Fits the requested axes, group by group."""
-    groups, parts = groups_of(flights, wanted), []
+    groups, parts = groups_of(flights, wanted), list[_Found]()
+
+    def found_of(group: Sequence[str]) -> _Found:
+        if METHODS[method].likelihood:
+            return _likelihood_group(flights, group, priors, structure)
+        if METHODS[method].estimator:
+            return _regression_group(flights, group, method)
+        return _paper_group(flights, group, paper)
+
+    every = parallel.each(found_of, groups, _duration(flights))
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
-        if METHODS[method].likelihood:
-            parts.append(_likelihood_group(flights, group, priors, structure))
-        elif METHODS[method].estimator:
-            parts.append(_regression_group(flights, group, method))
-        else:
-            parts.append(_paper_group(flights, group, paper))
+        parts.append(next(every))
     return _Found(  # x and y may be fitted together where only one of them is wanted
         {axis: known for part in parts for axis, known in part.axes.items() if axis in wanted},
         {k: v for part in parts for k, v in part.covariance.items() if all(n.split(".")[0] in wanted for n in k)},
@@ -476,7 +486,8 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
 
 def _paper_noise(flights: Sequence[Flight], axes: Sequence[str], paper: PaperFit) -> dict[str, Mapping[str, float]]:
     """Disturbance levels at the paper's coefficients, for the axes that have them; see `Model.paper_noise`."""
-    parts = [_paper_group(flights, group, paper).axes for group in groups_of(flights, axes)]
+    groups = groups_of(flights, axes)
+    parts = parallel.each(lambda group: _paper_group(flights, group, paper).axes, groups, _duration(flights))
     return {axis: known.noise for part in parts for axis, known in part.items() if known.noise}
 
 

@@ -51,6 +51,14 @@ class _Verbs(click.Group):
                 return super().invoke(ctx)
         except RotorfitError as error:
             raise click.ClickException(line_of(error, LONGEST_LINE)) from error
+        except KeyboardInterrupt:
+            from rotorfit.core import parallel
+
+            if parallel.abandoned():  # they would hold the process until they are done
+                click.echo("Aborted!", err=True)
+                sys.stdout.flush()
+                os._exit(1)
+            raise
         except BrokenPipeError:  # the reader has closed the pipe: click ends quietly
             raise
         except OSError as error:

@@ -3,8 +3,7 @@
 Source: R. A. Fisher, Statistical Methods for Research Workers, 4th ed., 1932 (several flights).
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, partial
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from rotorfit.assessment.frequency.law_test import SLOWEST, coordinates, law_test, point_at
 from rotorfit.assessment.frequency.response import response_bands, response_of_bands
 from rotorfit.assessment.whiteness import FINDING_LEVEL
+from rotorfit.core import parallel
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
@@ -25,27 +25,31 @@ from rotorfit.dynamics.transfer_function import has_transfer_function, law_respo
 
 def response_test(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, ResponseComparison], ...]:
     """Responses of the axes that a flight commands and the model knows, beside the model's, for each flight."""
-    motions = (cache(partial(motion_from_flight, flight)) for flight in flights)
-    return tuple(
-        {
-            axis: compared(model, flight, axis, motion)
-            for axis in AXES
-            if model.axes[axis].predictor is not None
-            and axis in flight.axes
-            and np.ptp(flight.command[:, AXES.index(axis)]) > 0
-        }
-        for flight, motion in zip(flights, motions, strict=True)
-    )
+    return tuple(_responses_of(model, flight) for flight in flights)
 
 
-def compared(model: Model, flight: Flight, axis: str, motion: Callable[[], Motion] | None = None) -> ResponseComparison:
+def _responses_of(model: Model, flight: Flight) -> dict[str, ResponseComparison]:
+    """`response_test` of one flight."""
+    axes = [
+        axis
+        for axis in AXES
+        if model.axes[axis].predictor is not None
+        and axis in flight.axes
+        and np.ptp(flight.command[:, AXES.index(axis)]) > 0
+    ]
+    motion = motion_from_flight(flight) if axes else None
+    found = parallel.each(lambda axis: compared(model, flight, axis, motion), axes, flight.duration)
+    return dict(zip(axes, found, strict=True))
+
+
+def compared(model: Model, flight: Flight, axis: str, motion: Motion | None = None) -> ResponseComparison:
     """The response of one axis on one flight beside that of a model that knows the axis.
 
     Args:
         model: The model.
         flight: The flight.
         axis: Name of the axis.
-        motion: Returns the motion of the flight, to share it between axes; None computes it.
+        motion: The motion of the flight, where several axes share it; None computes it.
     """
     bands, instrument, why = response_bands(flight, axis, motion)
     measured, known = response_of_bands(axis, bands, instrument, why), model.axes[axis]

@@ -9,8 +9,6 @@ Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain App
 M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed., 2012, for the use of it.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from rotorfit.assessment.frequency.bands import Band, bands_of
@@ -47,9 +45,7 @@ def frequency_response(flight: Flight, axis: str) -> FrequencyResponse:
     return response_of_bands(axis, bands, instrument, why)
 
 
-def response_bands(
-    flight: Flight, axis: str, motion: Callable[[], Motion] | None = None
-) -> tuple[tuple[Band, ...], Instrument, str]:
+def response_bands(flight: Flight, axis: str, motion: Motion | None = None) -> tuple[tuple[Band, ...], Instrument, str]:
     """The bands of an axis, their instrument, and, if there are none, the reason; `motion` as in `compared`."""
     k = AXES.index(axis)
     if axis not in flight.axes or not np.ptp(flight.command[:, k]) > 0:
@@ -58,7 +54,7 @@ def response_bands(
     if not windows:
         turned = f", or the heading turns by more than {np.degrees(TURNED):.0f} deg" if k < 2 else ""
         return (), "none", f"no {SHORTEST:g} s without a hole in commands or poses{turned}"
-    if restoring_law(flight, axis, motion() if motion else None) is not None:
+    if restoring_law(flight, axis, motion) is not None:
         return (), "none", f"the command of {axis} is only a controller's response to the motion"
     every = [window_tones(window) for window in windows]
     share = min(tones.share for tones in every)

@@ -1,0 +1,46 @@
+"""Independent parts of the work on long flights, in threads: compiled code runs beside other compiled code.
+
+On short flights most of the time is Python's own, of which only one thread at a time can run.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+LONG = 300.0
+"""Duration of the flights together from which threads pay [s]."""
+
+NAME = "rotorfit-part"
+"""Beginning of the names of the threads."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def each(work: Callable[[Item], Result], items: Iterable[Item], seconds: float) -> Iterator[Result]:
+    """The results of some work on every item, in their order; they do not depend on the number of threads.
+
+    Threads begin at once. On short flights the work on an item is done when its result is asked for.
+
+    Args:
+        work: May not change anything that the work on another item uses.
+        items: Its arguments.
+        seconds: Duration of the flights that it goes through [s]; short ones take no threads.
+
+    Raises:
+        Exception: What the work raised on the first item that failed.
+    """
+    threads = os.cpu_count() or 1
+    if seconds < LONG or threads == 1:
+        return map(work, items)
+    pool = ThreadPoolExecutor(threads, NAME)
+    results = pool.map(work, items)  # an error, or an end before the last result, cancels what has not begun
+    pool.shutdown(wait=False)
+    return results
+
+
+def abandoned() -> bool:
+    """Whether threads still work on parts whose results nobody waits for, as after an interruption."""
+    return any(thread.name.startswith(NAME) for thread in threading.enumerate())
