@@ -5,6 +5,7 @@ difference of the positions shortly after and before its stamp, divided by the t
 and its results for these samples are combined block by block (`observed`).
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -102,6 +103,12 @@ class Record:
     def segment(self) -> Indices:
         """Index of the segment of each block, shape (B,)."""
         return np.cumsum(self.fresh) - 1
+
+    @cached_property
+    def block_range(self) -> list[tuple[int, int]]:
+        """The first block of each segment, and one past its last."""
+        ends = np.searchsorted(self.segment, np.arange(self.starts.size + 1)).tolist()
+        return list(itertools.pairwise(ends))
 
     @cached_property
     def turn(self) -> Array:

@@ -345,10 +345,12 @@ def _places(rec: Record, point: Point, flight: int, at: slice) -> list[Indices]:
 
 def _parts(rec: Record, places: Sequence[Indices], piece: slice) -> list[tuple[Indices, slice]]:
     """For each segment with blocks in a piece: places of its columns, and its blocks, counted in the piece."""
-    number = rec.segment[piece]
-    first = np.flatnonzero(np.diff(number, prepend=-1))
-    ends = [*first[1:].tolist(), number.size]
-    return [(places[number[low]], slice(int(low), high)) for low, high in zip(first, ends, strict=True)]
+    begin, end = piece.start, piece.stop
+    return [
+        (where, slice(max(low - begin, 0), min(high, end) - begin))
+        for where, (low, high) in zip(places, rec.block_range, strict=True)
+        if max(low, begin) < min(high, end)
+    ]
 
 
 def adjustment(records: Sequence[Record], point: Point, restricted: Restriction) -> float:
