@@ -29,6 +29,7 @@ from bench_length import turning_flight
 from peers.flights import REAL_FLIGHTS
 from peers.packages import pysindy_fit, statsmodels_fit, subspace, sysidentpy_fit
 from peers.series import Series, axis_series, grid_of
+from rotorfit.core import parallel
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array
 from rotorfit.estimation import fitting
@@ -91,7 +92,7 @@ def rotorfit(flight: Flight, axes: Sequence[str], structure: str) -> tuple[float
         spent.append(time.process_time() - start)
         return out
 
-    with patch.object(fitting, "judged", timed):
+    with patch.object(fitting, "judged", timed), patch.object(parallel, "LONG", np.inf):  # one thread
         whole = seconds(lambda: fitting.fit([flight], axes=axes, structure=structure))
     return whole - sum(spent), whole
 

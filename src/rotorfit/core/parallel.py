@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-LONG = 300.0
+LONG = 120.0
 """Duration of the flights together from which threads pay [s]."""
 
 NAME = "rotorfit-part"
