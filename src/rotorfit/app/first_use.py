@@ -94,16 +94,16 @@ def _mark(part: str) -> Path:
 
 
 def _prediction() -> None:
-    """The prediction from many starts, and that without a disturbance."""
+    """The prediction from many starts, its errors, and that without a disturbance."""
     import numpy as np
 
     from rotorfit.core.frames import AXES
-    from rotorfit.dynamics.protocol import AxisDynamics, free_run_prediction, predict_flight
+    from rotorfit.dynamics.protocol import AxisDynamics, free_run_prediction, judged, predict_flight
 
     flight = _flight()
     dynamics = {axis: AxisDynamics(4.0, 1.0, 0.1, (0.1, 1e-6, 2.5, 0.6), 1e-6) for axis in AXES}
     for part in predict_flight(flight, dynamics, 0.5):
-        free_run_prediction(flight, part, np.ones(4), np.ones(4))
+        judged(part, free_run_prediction(flight, part, np.ones(4), np.ones(4)), (0.5,))
 
 
 def _likelihood(axes: tuple[str, ...], law: str) -> Callable[[], None]:
