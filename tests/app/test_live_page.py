@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
@@ -30,7 +31,8 @@ def told(second: int, width: float) -> Tracked:
     """Input, lag and velocity are told, of the damping a bound, of the delay nothing."""
     values = dict.fromkeys(QUANTITIES) | {"input": 4.0, "lag": 0.12}
     ends: dict[str, Interval] = {"input": (4.0 - width, 4.0 + width), "damping": (None, 0.316), "lag": (0.1, None)}
-    return Tracked(float(second), {"yaw": TrackedAxis("known", "known", values, ends, velocity=-0.116, gusts=0.0195)})
+    yaw = TrackedAxis("known", "known", values, ends, velocity=-0.116, gusts=0.0195)
+    return Tracked(float(second), {"yaw": replace(yaw, wind=-0.000237, wind_ci95=(-0.164, 0.164))})
 
 
 def test_the_page_names_whom_it_follows_and_says_numbers_with_units_and_bounds(live: tuple[LivePage, Page]) -> None:
@@ -41,7 +43,12 @@ def test_the_page_names_whom_it_follows_and_says_numbers_with_units_and_bounds(l
     server.state(told(1, 0.1), 0)
     captions = page.locator("figcaption")
     expect(captions).to_have_text(
-        ["input [rad/s²]4.00 (3.90 to 4.10)", "damping [1/s]below 0.316", "delay [s]unknown", "wind [rad/s²]unknown"]
+        [
+            "input [rad/s²]4.00 (3.90 to 4.10)",
+            "damping [1/s]below 0.316",
+            "delay [s]unknown",
+            "wind [rad/s²]0.00 (-0.16 to 0.16)",
+        ]
     )
     expect(page.locator(".now")).to_have_text("velocity -0.116 rad/s · gusts 0.0195 rad/s")
     expect(page.locator(".rest")).to_have_text("lag 0.120 s (above 0.100)")

@@ -25,15 +25,21 @@ function faded(text, share) { // #rrggbb with an opacity
   return `${text}${Math.round(255 * share).toString(16).padStart(2, "0")}`;
 }
 
+function rounded(low, high) { // to two digits of half the interval: further ones mean nothing
+  if (missing(low) || missing(high) || !(high > low)) return figure;
+  const decimals = Math.min(Math.max(1 - Math.floor(Math.log10((high - low) / 2) + 1e-9), 0), 9);
+  return value => (Number(value.toFixed(decimals)) || 0).toFixed(decimals); // no minus before a zero
+}
+
 function between(low, high) { // an interval in words; an end that is open is left out
   if (missing(low)) return missing(high) ? "" : `below ${figure(high)}`;
-  return missing(high) ? `above ${figure(low)}` : `${figure(low)} to ${figure(high)}`;
+  return missing(high) ? `above ${figure(low)}` : [low, high].map(rounded(low, high)).join(" to ");
 }
 
 function told(value, [low, high], unit = "") { // a number with its interval
   const range = between(low, high), behind = unit && ` ${unit}`;
   if (missing(value)) return range ? `${range}${behind}` : "unknown";
-  return `${figure(value)}${behind}${range && ` (${range})`}`;
+  return `${rounded(low, high)(value)}${behind}${range && ` (${range})`}`;
 }
 
 function quantile(values, share) {
