@@ -149,7 +149,7 @@ function alarmed(alarm) { // a revision takes the place of its alarm
   const changes = Object.entries(alarm.change).map(([name, [low, high]]) => {
     const [axis, what] = name.split("."), seconds = alarm.cause === "another_vehicle" ? ["delay", "lag", "total_lag"] : ["delay"];
     const unit = what === "trim" ? unitOf("{}/s²", axis) : seconds.includes(what) ? "s" : "";
-    return `${axis} ${what.replaceAll("_", " ")} ${unit ? "by" : "times"} ${figure(low)} to ${figure(high)}${unit && ` ${unit}`}`;
+    return `${axis} ${what.replaceAll("_", " ")} ${unit ? "by" : "times"} ${between(low, high)}${unit && ` ${unit}`}`;
   });
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
   raised.set(alarm.time, {box, number});
