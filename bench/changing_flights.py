@@ -298,7 +298,8 @@ def _close(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Flies, observes and commands; adds the feedback to `commands` and cuts them at `most`."""
     arrived, kind, asked = np.empty_like(stamps), np.zeros_like(stamps), np.zeros_like(commands)
-    count, given, pose, velocity, when = 0, 0, origin.copy(), np.zeros(4), 0.0
+    given, pose, velocity, when = 0, origin.copy(), np.zeros(4), 0.0
+    count = np.int64(0)  # for the literal, `advance` would be compiled once more
     out, change = np.empty((1, 7)), np.empty(4)
     for k in range(stamps.size):
         rigid_body.advance(

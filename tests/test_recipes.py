@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models import model_of
 from rotorfit.core.laws import STRUCTURES
+from rotorfit.files.models import save
 from test_documents import undocumented
 
 pytestmark = pytest.mark.flights
@@ -45,7 +47,7 @@ def with_toys(*words: str, folder: Path | None = None) -> str:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A toy log of a vehicle that climbs by steps, and its card."""
     place = tmp_path_factory.mktemp("toys")
-    time = np.arange(0.0, 30.0, 0.02)
+    time = np.arange(0.0, 16.0, 0.02)
     command = np.sign(np.sin(0.9 * time)) * 0.5
     velocity = np.zeros(time.size)
     for k in range(1, time.size):
@@ -77,7 +79,7 @@ def test_an_estimator_is_a_choice_of_the_command_line_and_a_row_of_the_compariso
 
 
 def test_an_export_is_listed_and_written(folder: Path) -> None:
-    with_toys("fit", "flight.toy", "--card", "card.toml", "-o", "model.json", folder=folder)
+    save(model_of(), folder / "model.json")
 
     assert json.loads(with_toys("export", "model.json", "--json", folder=folder))["formats"]["toy"]["text"] == "a toy"
 

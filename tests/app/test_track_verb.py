@@ -211,11 +211,12 @@ def test_ctrl_c_ends_a_log_with_all_that_was_seen_written(log: tuple[str, ...], 
     assert page.exists()
 
 
-def test_a_card_that_is_not_the_recordings_own_is_told(tmp_path: Path) -> None:
+def test_a_card_that_is_not_the_recordings_own_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record, card = tmp_path / "flight.mcap", tmp_path / "card.toml"
     words = ["track", "--link", "sim", "--for", "6", "--pace", "1000", "--structure", LAW, "--record", str(record)]
     assert CliRunner().invoke(main, words).exit_code == 0
     card.write_text(read(record).attached["card"].replace('name = "', 'name = "Another ', 1), encoding="utf-8")
+    faked(monkeypatch, Alarm(6.0, ("x",), "limits", (5.2, 5.8), {}, 0.9, 1e-8, "because"))
 
     for source in ([str(record)], ["--link", f"replay:{record}", "--pace", "1000"]):
         told = CliRunner().invoke(main, ["track", *source, "--card", str(card), "--structure", LAW])

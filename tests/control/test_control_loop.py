@@ -45,7 +45,7 @@ def test_the_loop_of_the_document_commands_as_the_library_does(
     save_gains(tuning, model, tmp_path / "gains.toml")
     gains = tomllib.loads((tmp_path / "gains.toml").read_text(encoding="utf-8"))
     vehicle = load_vehicle("bebop2")
-    path = ReferencePath("lemniscate", 1.2, 1.0, 9.0, (0.0, 0.0, 1.5, 3.1))
+    path = ReferencePath("lemniscate", 1.2, 1.0, 6.0, (0.0, 0.0, 1.5, 3.1))
     controller, steering = controller_of(tuning, vehicle), at_rest(np.array(path.start))
     loop = documented()["Loop"](gains, path.start)
     room = FlightRoom(vehicle, Conditions(wind=wind_of(["wind=1", "gusts=0.3"], "bebop2")), 1, path.start)
@@ -56,7 +56,7 @@ def test_the_loop_of_the_document_commands_as_the_library_does(
         if poses := [sample for sample in room.advance(round(t * 1e9)) if sample.stream == "pose"]:
             x, y, z, qw, qx, qy, qz = poses[-1].values[:7]
             yaw = float(np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)))
-            pose = np.array([x + (2.0 if 5.0 < t < 5.5 else 0.0), y, z, yaw])  # far off for a while: commands are cut
+            pose = np.array([x + (2.0 if 3.0 < t < 3.5 else 0.0), y, z, yaw])  # far off for a while: commands are cut
             steering = observe(controller, steering, poses[-1].stamp * 1e-9, pose, path)
             loop.seen(poses[-1].stamp * 1e-9, pose)
         steering, command = commanded(controller, steering, t, path)

@@ -74,14 +74,14 @@ def test_without_noise_x_and_y_come_back_under_a_turning_yaw_to_a_ten_thousandth
 def test_each_axis_has_a_delay_of_its_own() -> None:
     truth = replace(STILL, delay=(0.07, 0.21, 0.0, 0.33))
 
-    found = numbers(fitted(flown(truth, steps(), 25.0)))
+    found = numbers(fitted(flown(truth, steps(), 18.0)))
     np.testing.assert_allclose(found[:, 2], truth.delay, rtol=0, atol=1e-4)
     np.testing.assert_allclose(found[:, :2], truths(truth)[:, :2], rtol=1e-3)
 
 
 def test_a_trim_is_told_apart_from_the_coefficients() -> None:
     truth = replace(STILL, trim=(0.08, -0.05, 0.1, 0.03))
-    model = fitted(flown(truth, steps(), 25.0))
+    model = fitted(flown(truth, steps(), 18.0))
 
     np.testing.assert_allclose(numbers(model), truths(truth), rtol=1e-3)
     np.testing.assert_allclose([model.axes[axis].trim[0] for axis in AXES], truth.trim, rtol=2e-2)
@@ -181,7 +181,7 @@ def test_shifting_all_clocks_shifts_nothing() -> None:
 )
 def test_the_default_laws_keep_the_symmetries(name: str) -> None:
     """Clocks that run 1000 s later, commands twice as large and turned round: inputs halved and turned, no more."""
-    flight = flown_by(name, duration=40.0, seed=4, wind=0.05, noise=0.001)
+    flight = flown_by(name, duration=30.0, seed=4, wind=0.05, noise=0.001)
     other = replace(
         flight,
         command=-2.0 * flight.command,

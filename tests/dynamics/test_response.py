@@ -437,7 +437,7 @@ def test_one_axis_with_a_lag_moves_and_answers_as_under_the_general_law(
     some = case()
     wanted = structure_named(structure)
     law = law_of(wanted, 3.7, 1.4, 0.137 if wanted.delayed else 0.0, extra, trim=0.05)[None]
-    velocity = PARAMETERS["velocity"][:, :1]
+    velocity = PARAMETERS["velocity"][:, :1].copy()
     what, whose = np.array([MEAN, GAIN, DAMPING, DELAY, LAG, ZERO, TRIM, START]), np.zeros(8, np.int64)
 
     found = lagged_axis_response(*some.common, some.command[:, 0].copy(), some.weight, law, velocity[:, 0].copy())

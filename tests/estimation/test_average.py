@@ -39,7 +39,7 @@ def missed(axis: Axis, truth: dict[str, float]) -> list[str]:
 @pytest.fixture(scope="module")
 def models() -> dict[str, Model]:
     """z of three vehicles under the default laws."""
-    flights = {name: flown_by(name, duration=60.0, seed=4, wind=0.05, noise=0.001) for name in (PLAIN, LAGGED, LOOP)}
+    flights = {name: flown_by(name, duration=40.0, seed=4, wind=0.05, noise=0.001) for name in (PLAIN, LAGGED, LOOP)}
     return {name: fit([flight], axes=("z",)).model for name, flight in flights.items()}
 
 
@@ -159,7 +159,7 @@ def test_the_first_order_law_beside_another_has_the_errors_of_the_vehicle_and_ca
 ) -> None:
     model = models[name]
     beside = first_order(model, "z")
-    one = fit([flown_by(name, duration=60.0, seed=4, wind=0.05, noise=0.001)], axes=("z",), structure=PLAIN)
+    one = fit([flown_by(name, duration=40.0, seed=4, wind=0.05, noise=0.001)], axes=("z",), structure=PLAIN)
     errors = np.sqrt(np.diag(one.estimates["z"].optimum.inverse))[[0, 2]]  # input and delay, as the likelihood has them
 
     assert model.axes["z"].structure == name

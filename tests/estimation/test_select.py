@@ -32,7 +32,7 @@ def chosen(flight: Flight, axis: str = "z") -> Axis:
 @cache
 def strong(name: str) -> Model:
     """z of a vehicle of this law in a little wind; the law is chosen."""
-    flight = flown_by(name, duration=60.0, seed=2, wind=0.05, noise=0.0005)
+    flight = flown_by(name, duration=40.0, seed=2, wind=0.05, noise=0.0005)
     return fit([flight], axes=("z",), structure="auto").model
 
 

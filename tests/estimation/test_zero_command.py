@@ -1,5 +1,7 @@
 """Vehicles that obey another law while their command is zero: they are found, and fitted where they are commanded."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,7 @@ def sines(rng: np.random.Generator, time: Array) -> Array:
     return np.asarray(0.1 * np.sin(np.outer(time, turns) + rng.uniform(0, 6, 10)).sum(axis=1))
 
 
+@cache
 def flown(brake: float, seed: int = 0, lag: float = LAG, excitation=rests, duration: float = 60.0) -> Flight:  # type: ignore[no-untyped-def]
     """A vehicle with an attitude lag that brakes with -`brake` v, 2.5 m/s^2 at most, while its command is zero.
 
@@ -45,7 +48,7 @@ def flown(brake: float, seed: int = 0, lag: float = LAG, excitation=rests, durat
     for i, (u, shock) in enumerate(zip(asked[:-1], rng.standard_normal(time.size - 1), strict=True)):
         gust += -gust * STEP + 0.03 * np.sqrt(2 * STEP) * shock
         resting = abs(u) < (BAND if not resting else 2 * BAND)
-        wanted = np.clip(-brake * velocity[i], -MOST, MOST) if resting and brake else G * u
+        wanted = min(max(-brake * velocity[i], -MOST), MOST) if resting and brake else G * u
         pull = pull + STEP * (wanted - pull) / lag if lag else wanted
         velocity[i + 1] = velocity[i] + STEP * (pull - B * velocity[i] + gust)
     position = np.concatenate([[0.0], np.cumsum(0.5 * STEP * (velocity[1:] + velocity[:-1]))])
@@ -56,8 +59,9 @@ def flown(brake: float, seed: int = 0, lag: float = LAG, excitation=rests, durat
     return by_hand(seen, pose, sent, four)
 
 
-def fitted(flight: Flight, structure: str = "first_order_delay_lag") -> Fit:
-    return fit([flight], axes=("x",), structure=structure)
+@cache
+def fitted(brake: float, seed: int = 0, lag: float = LAG, structure: str = "first_order_delay_lag") -> Fit:
+    return fit([flown(brake, seed, lag)], axes=("x",), structure=structure)
 
 
 def told(found: Fit) -> dict[str, Finding]:
@@ -67,7 +71,7 @@ def told(found: Fit) -> dict[str, Finding]:
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("structure", ["first_order_delay", "first_order_delay_lag"])
 def test_a_vehicle_that_brakes_at_zero_is_a_finding_with_its_evidence(structure: str, seed: int) -> None:
-    found = told(fitted(flown(1.5, seed), structure))
+    found = told(fitted(1.5, seed, structure=structure))
 
     assert found["brakes_at_zero"].severity == "warning"
     assert "p = " in found["brakes_at_zero"].evidence
@@ -75,7 +79,7 @@ def test_a_vehicle_that_brakes_at_zero_is_a_finding_with_its_evidence(structure:
 
 
 def test_its_coefficients_are_those_of_the_commanded_parts() -> None:
-    axis = fitted(flown(1.5)).model.axes["x"]
+    axis = fitted(1.5).model.axes["x"]
 
     for name, truth in (("input", G), ("damping", B), ("delay", DELAY), ("lag", LAG)):
         low, high = axis.ci95[name]
@@ -86,7 +90,7 @@ def test_its_coefficients_are_those_of_the_commanded_parts() -> None:
 
 def test_a_long_lag_hides_no_braking() -> None:
     """It delays the braking as it does the answer to a command; without it in the test, 0.07 were found of 1.5 1/s."""
-    found = fitted(flown(1.5, lag=0.3))
+    found = fitted(1.5, lag=0.3)
     test, _ = found.braking["x"]
 
     assert test.further == pytest.approx(1.5, rel=0.3)
@@ -98,7 +102,7 @@ def test_a_long_lag_hides_no_braking() -> None:
 
 
 def test_the_same_vehicle_without_braking_is_no_finding_and_is_fitted_to_the_whole() -> None:
-    found = fitted(flown(0.0))
+    found = fitted(0.0)
 
     assert "brakes_at_zero" not in told(found)
     assert found.braking == {}
@@ -106,14 +110,16 @@ def test_the_same_vehicle_without_braking_is_no_finding_and_is_fitted_to_the_who
 
 @pytest.mark.parametrize("lag", [0.1, 0.3])
 def test_a_lag_that_the_law_leaves_out_is_no_braking(lag: float) -> None:
-    test = braking(fitted(flown(0.0, lag=lag), "first_order_delay").estimates["x"])
+    test = braking(fitted(0.0, lag=lag, structure="first_order_delay").estimates["x"])
 
     assert test is not None
     assert test.probability > 0.001
 
 
 def test_sines_never_rest_and_nothing_is_asked() -> None:
-    assert braking(fitted(flown(1.5, excitation=sines)).estimates["x"]) is None
+    found = fit([flown(1.5, excitation=sines)], axes=("x",), structure="first_order_delay_lag")
+
+    assert braking(found.estimates["x"]) is None
 
 
 def test_parts_begin_with_a_command_and_end_before_zero() -> None:

@@ -449,7 +449,9 @@ def test_a_chain_of_pages_that_bites_its_tail_ends(tmp_path: Path) -> None:
 
 def test_topics_without_end_are_not_taken(tmp_path: Path) -> None:
     definition = "float64 a\n" * 20
-    fields = [(b"conn=" + struct.pack("<I", number), b"topic=/" + str(number).encode()) for number in range(20_000)]
+    fields = [
+        (b"conn=" + struct.pack("<I", number), b"topic=/" + str(number).encode()) for number in range((1 << 14) + 1)
+    ]
     details = text(b"type=a/B") + text(b"message_definition=" + definition.encode())
     bag = b"".join(text(text(b"op=\x07") + text(one) + text(two)) + text(details) for one, two in fields)
     (tmp_path / "topics").write_bytes(b"#ROSBAG V2.0\n" + bag)

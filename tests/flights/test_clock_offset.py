@@ -53,9 +53,11 @@ def clocks_of(log: Log, **card: object) -> Clocks:
 
 
 def codes(log: Log, **card: object) -> dict[str, str]:
-    applied = bound(card_of(**card), log)
-    found = findings_of_flight(log, flight_from_log(log, applied))
-    return {finding.code: finding.severity for finding in found}
+    return told(log, flight_from_log(log, bound(card_of(**card), log)))
+
+
+def told(log: Log, flight: Flight) -> dict[str, str]:
+    return {finding.code: finding.severity for finding in findings_of_flight(log, flight)}
 
 
 def within(clocks: Clocks, skew: Skew, most: float = 0.002) -> None:
@@ -258,12 +260,12 @@ def test_the_finding_says_what_was_moved_and_by_what() -> None:
 def test_without_a_second_source_the_delay_is_not_identifiable(excitation: object, offset: float) -> None:
     flight = simulate_flight(Truth(), excitation, LENGTH, 3)  # type: ignore[arg-type]
     log = as_one(flight, Skew(offset))
-    result = read(log, velocity=False)
+    result = flight_from_log(log, bound(card_of(velocity=False), log))
     model = fit_as_flown([result], axes=("yaw",)).model.axes["yaw"]
 
     assert result.clocks is not None
     assert result.clocks.includes_delay
-    assert codes(log, velocity=False)["clock_includes_delay"] == "warning"
+    assert told(log, result)["clock_includes_delay"] == "warning"
     assert (model.delay, model.status["delay"], model.ci95["delay"]) == (None, "not_identifiable", (None, None))
     assert "total_lag" not in model.combinations
     total, truth = model.combinations["offset_plus_delay"], offset + Truth().delay[3]
@@ -293,10 +295,11 @@ def test_the_motion_of_another_flight_is_refused_with_a_finding() -> None:
     mixed = replace(other, tables={**other.tables, "odometry": vehicle.tables["odometry"]})
     log = join_logs([mixed, room])
 
-    clocks = clocks_of(log, attitude=True)
-    assert clocks.refused
-    assert clocks.includes_delay
-    assert codes(log, attitude=True)["clock_source_refused"] == "warning"
+    flight = flight_from_log(log, bound(card_of(attitude=True), log))
+    assert flight.clocks is not None
+    assert flight.clocks.refused
+    assert flight.clocks.includes_delay
+    assert told(log, flight)["clock_source_refused"] == "warning"
 
 
 def test_files_of_two_flights_are_refused() -> None:

@@ -208,7 +208,7 @@ def test_the_filter_of_both_is_that_of_poses_where_there_are_only_poses(turning:
     for rec, K in ((plane, 2), (line, 1)):
         columns, none = rng.standard_normal((rec.count.size, 3, K)), np.zeros(rec.count.size, bool)
         common = (rec.steps, rec.step, rec.count, rec.fresh)
-        fused = whiten_fused(*common, none, rec.block_yaw, columns, levels[:K], noise[:K], 0.0)
+        fused = whiten_fused(*common, none, rec.block_yaw, columns, levels[:K], noise[:K], 0.0, False)
         if K == 2:
             turned = np.ascontiguousarray(columns.transpose(0, 2, 1))
             rows, _, variance = whiten_plane(*common, rec.block_yaw, turned, levels[None], 0)
@@ -227,8 +227,9 @@ def test_colouring_undoes_whitening(turning: Flight) -> None:
     data = rng.standard_normal((rec.count.size, 2, 2))
     fixed = (rec.steps, rec.step, rec.count, rec.fresh, rec.rate, rec.block_yaw)
 
-    white, _ = whiten_fused(*fixed, data, levels, levels[:, [1, 4]], 0.1)
-    back, _ = whiten_fused(*fixed, white, levels, levels[:, [1, 4]], 0.1, True)
+    given = levels, np.ascontiguousarray(levels[:, [1, 4]]), 0.1
+    white, _ = whiten_fused(*fixed, data, *given, False)
+    back, _ = whiten_fused(*fixed, white, *given, True)
     np.testing.assert_allclose(back, data, atol=1e-8)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from test_views import fitted, flown, known_axis, known_model
 
 from rotorfit.app.cli import main
@@ -911,7 +912,10 @@ def test_a_drawn_line_breaks_at_nan_and_lands_where_it_should() -> None:
 # Figures
 
 
-def test_figures_without_content_are_left_out(training: Flight, tmp_path: Path) -> None:
+def test_figures_without_content_are_left_out(
+    training: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
     cases = [Case("model.json", known_model(axes), (training,)) for axes in (("x",), ())]
     alone, nothing = (write_figures(*evidence_of([case]), tmp_path) for case in cases)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from rotorfit.tracking.drag import DRAG_SPREAD, OPEN, damping_interval, tells_wi
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.refits import GroupEstimate, axis_report, refitted
 from rotorfit.tracking.replayed import until
-from tracked_flights import LAW, changing, known, tilted
+from tracked_flights import LAW, changing, known_flight, tilted
 
 pytestmark = pytest.mark.flights
 AXES = ("x", "y")
@@ -31,6 +32,12 @@ def gusty() -> tuple[Any, GroupEstimate]:
 
 
 SEED = 916
+
+
+@cache
+def of_z() -> GroupEstimate:
+    """z, whose commands are no tilts."""
+    return refitted(until(known_flight(), 20.0), ("z",), LAW, 20.0)
 
 
 def dampings(estimates: Mapping[str, Estimate]) -> np.ndarray:
@@ -79,8 +86,8 @@ def test_where_the_flight_tells_the_drag_the_prior_does_not_matter() -> None:
 
 
 def test_axes_without_tilts_keep_their_estimates() -> None:
-    estimates = refitted(known()[0], ("z",), LAW, 30.0).estimates
-    assert with_drag(known()[0].card, estimates, {})["z"] is estimates["z"]
+    estimates = of_z().estimates
+    assert with_drag(known_flight().card, estimates, {})["z"] is estimates["z"]
 
 
 def test_a_prior_of_the_card_stays(gusty: tuple[Any, GroupEstimate]) -> None:
@@ -98,7 +105,7 @@ def test_a_prior_of_the_card_stays(gusty: tuple[Any, GroupEstimate]) -> None:
 
 
 def test_an_interval_twice_as_wide_is_twice_as_uncertain() -> None:
-    estimate = refitted(until(known()[0], 20.0), ("z",), LAW, 20.0).estimates["z"]
+    estimate = of_z().estimates["z"]
     one = estimands(estimate.optimum, estimate.place)["delay"]
     half = 1.96 * one.error(estimate.optimum)
 

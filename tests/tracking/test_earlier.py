@@ -100,7 +100,7 @@ def test_an_input_told_without_its_damping_is_not_compared() -> None:
 
 
 def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:
-    flight = until(known_flight(), 16.0)
+    flight = replace(until(known_flight(), 16.0), axes=("x", "y"))
     same, other = (tracked(flight, LAW, 0.1, earlier=Earlier(one, NAME)) for one in (own(), scaled(own(), "x", 1.25)))
 
     assert same.alarms == ()

@@ -284,6 +284,7 @@ def flown(
     truth, sent = drawn.truth, _seconds(drawn.command_stamp)
     command = excitation(sent)
     value = np.concatenate([np.zeros((1, 4)), command]) if drawn.held else _smooth(drawn, excitation)
+    value = np.ascontiguousarray(value)  # for another layout, `_fly` would be compiled once more
     start = np.array([0.0, 0.0, HOVER_HEIGHT, initial_yaw])
     gains, reference = _steering(controller or Controller(axes=()), truth, sent, start)
     state, acceleration, pose = _compiled(_fly)(

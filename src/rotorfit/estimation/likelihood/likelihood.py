@@ -86,7 +86,7 @@ def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) ->
     """The filter of a record with velocities; see `whiten_fused`. Here `levels` (K, L) are not logarithms."""
     assert rec.rate is not None
     assert rec.rounding is not None
-    noise = levels[:, [1, 1 if rec.measured == "velocity" else 4]]
+    noise = np.ascontiguousarray(levels[:, [1, 1 if rec.measured == "velocity" else 4]])  # compiled for one layout
     noise[:, 1] += rec.rounding
     bias = 0.0 if rec.measured == "velocity" else BIAS_VARIANCE
     columns = np.ascontiguousarray(columns)

@@ -228,7 +228,8 @@ def _simulated(problem: Problem, at: Solution, part: GridSegment, command: Array
     """World position at the edges of a stretch simulated from given commands, from rest, shape (E + 2, C)."""
     point, K = coefficients(problem, at, part.flight), part.axes
     n, m = part.edge.size, len(command)
-    whole = (part.edge[:1], np.array([[0, n]]), np.array([[0, m]]), part.edge, np.arange(n), part.switch[:-1])
+    switch = np.ascontiguousarray(part.switch[:-1])  # for another layout, the response would be compiled once more
+    whole = (part.edge[:1], np.array([[0, n]]), np.array([[0, m]]), part.edge, np.arange(n), switch)
     damping = np.maximum(point.damping, LEAST_DAMPING)
     if K == 1:
         out = axis_response(
