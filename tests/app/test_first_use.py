@@ -10,6 +10,7 @@ from numba.core.dispatcher import Dispatcher
 from flights import flown, steps
 from rotorfit.app import first_use
 from rotorfit.app.first_use import PARTS, VALIDATION, compile_beforehand, spread
+from rotorfit.core import parallel
 from rotorfit.dynamics import (
     general_response,
     general_step,
@@ -102,7 +103,7 @@ def test_where_no_process_can_be_started_the_fit_goes_on(
 def test_what_is_compiled_for_long_is_told(started: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     ends = iter([None, None, 0] + [0] * 100)
     monkeypatch.setattr(Process, "poll", lambda _: next(ends))
-    monkeypatch.setattr(first_use, "_processors", lambda: 1)
+    monkeypatch.setattr(parallel, "processors", lambda: 1)
     told: list[str] = []
 
     compile_beforehand(lambda _, text: told.append(text))

@@ -26,7 +26,7 @@ def test_short_flights_take_no_threads_and_begin_only_when_asked() -> None:
 
 
 def test_long_flights_are_worked_on_side_by_side_and_results_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    monkeypatch.setattr(parallel, "processors", lambda: 2)
     other = threading.Event()
 
     def work(item: int) -> int:
@@ -40,7 +40,7 @@ def test_long_flights_are_worked_on_side_by_side_and_results_keep_their_order(mo
 
 
 def test_the_error_of_an_item_reaches_the_caller_and_the_rest_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    monkeypatch.setattr(parallel, "processors", lambda: 2)
 
     def work(item: int) -> int:
         if item == 1:

@@ -15,6 +15,7 @@ from pathlib import Path
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING
 
+from rotorfit.core import parallel
 from rotorfit.core.progress import Progress
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def compile_beforehand(progress: Progress | None = None, wanted: Sequence[str] |
         return
     begun, running = perf_counter(), []
     try:
-        for names in spread({name: PARTS[name][0] for name in marks}, _processors()):
+        for names in spread({name: PARTS[name][0] for name in marks}, parallel.processors()):
             words = [sys.executable, "-P", "-m", "rotorfit.app.first_use", *names]
             running.append(subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
         while any(one.poll() is None for one in running) and perf_counter() - begun < PATIENCE:
@@ -68,11 +69,6 @@ def spread(costs: Mapping[str, float], processes: int) -> list[list[str]]:
     for name in sorted(costs, key=lambda name: -costs[name]):
         min(shares, key=lambda share: sum(costs[one] for one in share)).append(name)
     return shares
-
-
-def _processors() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _compiled(mark: Path) -> bool:

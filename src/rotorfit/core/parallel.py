@@ -32,13 +32,17 @@ def each(work: Callable[[Item], Result], items: Iterable[Item], seconds: float) 
     Raises:
         Exception: What the work raised on the first item that failed.
     """
-    threads = os.cpu_count() or 1
-    if seconds < LONG or threads == 1:
+    if seconds < LONG or processors() == 1:
         return map(work, items)
-    pool = ThreadPoolExecutor(threads, NAME)
+    pool = ThreadPoolExecutor(processors(), NAME)
     results = pool.map(work, items)  # an error, or an end before the last result, cancels what has not begun
     pool.shutdown(wait=False)
     return results
+
+
+def processors() -> int:
+    """Number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def abandoned() -> bool:
