@@ -327,7 +327,7 @@ class Following:
         others = [
             (scores, there)
             for other, scores in scored.items()
-            if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best.since))
+            if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
         ]
         named = diagnosis([(scored[names], best), *others])
         alarm = Alarm(
