@@ -499,9 +499,15 @@ def _held(group: Group, flight: Flight, now: float) -> tuple[str, ...]:
 
 
 def _renewed(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
-    """The estimates of groups, unmoved, applied to the flight so far."""
-    parts = [(group.fitted, group.part(flight, _looks_back(group.since, now), now)) for group in groups.values()]
-    return [renewed(known, part) for known, part in parts if known and part and part.duration >= LEAST_TIME]
+    """The estimates of groups, unmoved, applied to the flight so far; those of a look at this moment are already."""
+    out = []
+    for group in groups.values():
+        if group.fitted is None:
+            continue
+        part = group.part(flight, _looks_back(group.since, now), now)
+        if part and part.duration >= LEAST_TIME:
+            out.append(group.fitted if group.looked == now else renewed(group.fitted, part))
+    return out
 
 
 def _looks_back(since: float, now: float) -> float:
