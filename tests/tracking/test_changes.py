@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotorfit.core.limits import GRAVITY
 from rotorfit.tracking.changes import at_once, contrast, in_any_air, looked_for, looks, pushes, since_when
 from rotorfit.tracking.following import SHORT
 from rotorfit.tracking.refits import refitted
@@ -123,6 +124,9 @@ def test_a_change_of_the_room_is_found_and_named(cause: str, vehicle: str, named
     assert {name.split(".")[0] for name in alarm.change} == set(alarm.axes)
     if named == "delay":
         assert all(low < 0.05 < high + 0.01 for low, high in alarm.change.values())
+    if named == "payload":
+        low, high = alarm.change["z.trim"]
+        assert low < GRAVITY / 1.15 - GRAVITY < high
     if named == "limits":
         low, high = alarm.change["x.input"]
         assert low < np.tan(np.radians(15)) / np.tan(np.radians(10)) < high
