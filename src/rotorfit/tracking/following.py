@@ -31,6 +31,7 @@ from rotorfit.estimation.zero_command import commanded_parts, late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import (
+    LEAST_CHUNKS,
     Contrast,
     at_once,
     calm,
@@ -57,7 +58,7 @@ from rotorfit.tracking.refits import (
     stepped,
     together,
 )
-from rotorfit.tracking.scores import GUST_POWERS, WINDOWS, Doubts, Estimates, Scores, let_go, scores_of
+from rotorfit.tracking.scores import CHUNK, GUST_POWERS, WINDOWS, Doubts, Estimates, Scores, let_go, scores_of
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
@@ -302,6 +303,8 @@ class Following:
             self._raised = raised
             return None
         before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
+        if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in before.groups.values()):
+            return None  # no window has a rest that is long enough
         known = _renewed(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths)
