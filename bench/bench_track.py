@@ -11,13 +11,15 @@ default under `first_order_delay`, the law that these vehicles obey.
 - known: time until an axis is `known`, over the time at which the Cramer-Rao bound of the flight so far, taken as an
   interval, would first have been `known`: median.
 - taken back: share of the axes that were `known` of which a later look says that they are not.
-- landing: estimate of the last step before landing less that of the batch fit, in standard errors of the batch fit.
+- landing: estimate of the last step before landing less that of the batch fit, in standard errors of the batch fit;
+  beside it, for scale, the batch fit of the flight until then less that of the whole flight. Where the two fits differ
+  in the law, a delay or a damping is not the same quantity in both: steady gain and total lag are compared.
 - cost: processor seconds of tracking per second of flight, steps and refits separately.
 """
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
@@ -26,13 +28,18 @@ import numpy as np
 from designs import Design, bounds, designs, flown, truth_of
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.coefficients import statuses
+from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, until
 
 MOMENTS = (5.0, 10.0, 20.0, 40.0)
 """After the start [s]; and at landing."""
+
+SAME = ("steady_gain", "total_lag")
+"""Quantities that mean the same under every law."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,8 @@ class Told:
         ever: Number of axes that were ever known.
         back: Number of those that were taken back.
         off: Last step less the batch fit, in standard errors.
+        late: Batch fit until the last step less that of the whole flight, likewise.
+        laws: Number of axes whose law at the last step is not that of the batch fit.
         cost: Processor seconds a second of flight.
         steps: Of the looks without a refit, median [s].
         alarms: How many.
@@ -55,6 +64,8 @@ class Told:
     ever: int
     back: int
     off: list[float]
+    late: list[float]
+    laws: int
     cost: float
     steps: float
     alarms: int
@@ -79,20 +90,41 @@ def told_of(job: tuple[Design, str]) -> Told:
         if any(abs(now - moment) < 1e-6 for moment in MOMENTS):
             held[now] = _held(design, state)
     cost = (time.process_time() - begun) / flight.duration
-    last = state
+    last, seen = state, part
     state, _ = following.finish(flight, flight.segments[-1].end)
     held[np.inf] = _held(design, state)
-    batch = fit([flight], structure=structure).model
-    off = [
-        (last.axes[axis].values[name] - getattr(batch.axes[axis], name)) / batch.axes[axis].stderr[name]
-        for axis in flight.axes
-        for name in COEFFICIENTS
-        if last.axes[axis].values[name] is not None and getattr(batch.axes[axis], name) is not None
-    ]
+    batch, until_then = (fit([one], structure=structure) for one in (flight, seen))
+    told = {axis: (one.structure, one.values) for axis, one in last.axes.items()}
+    late = {axis: (one.structure, _values(until_then, axis)) for axis, one in until_then.model.axes.items()}
+    laws = sum(law != batch.model.axes[axis].structure for axis, (law, _) in told.items() if axis in batch.estimates)
     possible = _possible(design, flight)
     known = [first[axis] / possible[axis] for axis in flight.axes if axis in first and axis in possible]
     back |= {axis for axis, one in state.axes.items() if "taken back" in one.state}
-    return Told(held, known, len(first), len(back), off, cost, float(np.median(looks)), alarms)
+    off, step = (_off(told, batch), _off(late, batch)), float(np.median(looks))
+    return Told(held, known, len(first), len(back), *off, laws, cost, step, alarms)
+
+
+def _values(found: Fit, axis: str) -> dict[str, float | None]:
+    """What a fit tells of an axis."""
+    one = found.model.axes[axis]
+    together = {name: one.combinations[name].value for name in SAME if name in one.combinations}
+    return {name: getattr(one, name) for name in COEFFICIENTS} | together
+
+
+def _off(told: Mapping[str, tuple[str, Mapping[str, float | None]]], batch: Fit) -> list[float]:
+    """Values of each axis under its law, less those of a fit, in standard errors of the fit."""
+    out = []
+    for axis, (law, values) in told.items():
+        if axis not in batch.estimates:
+            continue
+        optimum, place = batch.estimates[axis].optimum, batch.estimates[axis].place
+        known, one = _values(batch, axis), estimands(optimum, place)
+        for name in COEFFICIENTS if law == batch.model.axes[axis].structure else SAME:
+            value = values.get(name)
+            if value is not None and known.get(name) is not None:
+                by = np.log(value / one[name].value) if one[name].logarithmic else value - one[name].value
+                out.append(float(by) / one[name].error(optimum))
+    return out
 
 
 def _held(design: Design, state) -> list[tuple[bool, bool]]:
@@ -135,14 +167,16 @@ def report(name: str, told: Sequence[Told]) -> None:
             when = "at landing" if np.isinf(moment) else f"at {moment:g} s"
             flight, vehicle = 100 * np.mean(held, axis=0)
             print(f"  {when:11} {flight:5.1f} % (the vehicle's {vehicle:.1f} %) of {len(held)} hold the truth")
-    known, off = (np.concatenate([getattr(each, what) for each in told]) for what in ("known", "off"))
+    known, off, late = (np.concatenate([getattr(each, what) for each in told]) for what in ("known", "off", "late"))
     ever, back = (sum(getattr(each, what) for each in told) for what in ("ever", "back"))
     print(f"  {back} of {ever} axes that were known are taken back: {100 * back / ever:.1f} %")
-    size = np.abs(off)
     print(f"  known after {np.median(known):.2f} times the earliest time (median of {known.size} axes)")
-    print(
-        f"  last step off the batch by {np.median(size):.3f} (median), {np.quantile(size, 0.99):.3f} (99 %) std errors"
-    )
+    for what, values in (("last step", off), ("batch until then", late)):
+        size = np.abs(values)
+        print(
+            f"  {what} off the batch by {np.median(size):.3f} (median), {np.quantile(size, 0.99):.3f} (99 %) std errors"
+        )
+    print(f"  {sum(each.laws for each in told)} axes under another law than that of the batch")
     cost, step = np.mean([each.cost for each in told]), np.median([each.steps for each in told])
     print(f"  {100 * cost:.1f} % of a core; a step {1e3 * step:.0f} ms")
     print(f"  {sum(each.alarms for each in told)} false alarms in {len(told) / 60:.1f} h")

@@ -15,7 +15,7 @@ KNOWN = ("x.input", "x.damping", "x.delay"), ("y.input", "y.damping", "y.delay")
 ), ("yaw.input", "yaw.damping", "yaw.delay", "yaw.trim")  # fmt: skip
 
 
-def named(moved: Mapping[str, float], sharp: float = 400.0) -> Diagnosis:
+def named(moved: Mapping[str, float], sharp: float = 400.0, freedom: float = 40.0) -> Diagnosis:
     """The diagnosis of shifts by logarithms, seconds or accelerations, each known to 1/20 of what is looked for."""
     parts = []
     for names in KNOWN:
@@ -27,7 +27,7 @@ def named(moved: Mapping[str, float], sharp: float = 400.0) -> Diagnosis:
         scores = Scores(**fields, **missing)  # type: ignore[arg-type]
         precision = sharp * np.eye(len(names))
         parts.append(
-            (scores, Contrast(10.0, shift, precision, float(shift @ precision @ shift), len(names), 1e-9, 40.0))
+            (scores, Contrast(10.0, shift, precision, float(shift @ precision @ shift), len(names), 1e-9, freedom))
         )
     return diagnosis(parts)
 
@@ -40,6 +40,7 @@ def named(moved: Mapping[str, float], sharp: float = 400.0) -> Diagnosis:
         ({f"{axis}.delay": 0.05 for axis in ("x", "y", "z", "yaw")}, "delay", ("x", "y", "z", "yaw")),
         ({"x.input": 0.4, "y.input": 0.4}, "limits", ("x", "y")),
         ({"x.damping": 0.6, "x.delay": -0.06}, "other", ("x",)),
+        ({"x.damping": 0.6, "y.delay": -0.06}, "other", ("x", "y")),
     ],
 )
 def test_a_cause_is_named_by_what_moves_together(moved: dict[str, float], cause: str, axes: tuple[str, ...]) -> None:
@@ -53,6 +54,30 @@ def test_a_cause_is_named_by_what_moves_together(moved: dict[str, float], cause:
         added = name.endswith((".delay", ".trim"))
         expected = value if added else 1 + value if name.endswith(".input") else np.exp(value)
         assert low < expected < high
+
+
+def test_a_weak_rotor_also_tilts_the_vehicle_which_is_no_change_of_x_and_y() -> None:
+    tilt = {"x.input": 0.3, "x.delay": -0.03, "y.input": -0.2, "y.damping": 0.5}
+    found = named({"z.trim": -0.6, "yaw.trim": 1.5, **tilt})
+
+    assert (found.cause, found.axes) == ("thrust", ("z", "yaw"))
+    assert found.change.keys() == {"z.trim", "yaw.trim"}
+
+
+@pytest.mark.parametrize("name", ["yaw.delay", "x.input", "z.delay"])
+def test_a_coefficient_that_moves_by_chance_does_not_hide_the_cause(name: str) -> None:
+    chance = 2.5 / 20 * EXPECTED[name.split(".")[1]]  # standard errors
+    found = named({"z.trim": -1.2, name: chance})
+
+    assert (found.cause, found.axes) == ("payload", ("z",))
+    assert found.confidence > 0.5
+
+
+def test_the_fewer_seconds_tell_the_variance_the_less_certain_is_a_cause() -> None:
+    moved = {"z.trim": -0.6, "yaw.trim": 0.2}
+    many, few = (named(moved, freedom=freedom).confidence for freedom in (40.0, 8.0))
+
+    assert few < many
 
 
 def test_what_is_told_badly_is_named_with_little_confidence() -> None:

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorfit.tracking.changes import in_any_air, looked_for, looks, pushes, since_when
+from rotorfit.core.limits import GRAVITY
+from rotorfit.tracking.changes import at_once, contrast, in_any_air, looked_for, looks, pushes, since_when
 from rotorfit.tracking.following import SHORT
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.scores import GUST_POWERS, Scores, scores_of
@@ -84,6 +85,24 @@ def test_a_gap_in_the_poses_a_moment_ago_is_no_jolt(scores: Scores) -> None:
     assert looked_for(replace(scores, **part)) == []
 
 
+def test_an_axis_that_stays_tells_of_it_by_no_more_than_chance(scores: Scores) -> None:
+    """Its window since the change counts, however small, not the one that stands out; or the jolt that is nearest."""
+    rng, told = np.random.default_rng(5), []
+    for _ in range(40):
+        noise = replace(scores, innovation=rng.standard_normal(scores.time.size))
+        change = contrast(noise, float(scores.time[-1]) - 1.5)
+        assert change is not None
+        near, far = (replace(change, since=change.since + late, jolt=True) for late in (0.1, 0.3))
+        stands_out = replace(far, statistic=1e3, p_value=1e-9)
+        same = at_once(noise, [stands_out, near, *looked_for(noise)], change)
+        assert same is not None
+        assert (same.since, same.statistic, same.jolt) == (change.since, change.statistic, False)
+        assert at_once(noise, [stands_out, near], replace(change, jolt=True)) is near
+        told.append(change.statistic / change.directions)
+
+    assert 0.4 < np.mean(told) < 1.4
+
+
 @pytest.mark.parametrize(
     ("cause", "vehicle", "named", "axes"),
     [
@@ -105,6 +124,9 @@ def test_a_change_of_the_room_is_found_and_named(cause: str, vehicle: str, named
     assert {name.split(".")[0] for name in alarm.change} == set(alarm.axes)
     if named == "delay":
         assert all(low < 0.05 < high + 0.01 for low, high in alarm.change.values())
+    if named == "payload":
+        low, high = alarm.change["z.trim"]
+        assert low < GRAVITY / 1.15 - GRAVITY < high
     if named == "limits":
         low, high = alarm.change["x.input"]
         assert low < np.tan(np.radians(15)) / np.tan(np.radians(10)) < high

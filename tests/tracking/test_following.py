@@ -6,7 +6,7 @@ import pytest
 
 from flights import flown, steps
 from rotorfit.core.flight_data import Segment
-from rotorfit.core.model import Interval
+from rotorfit.core.model import Interval, Predictor, Weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 from rotorfit.tracking import following as following_module
@@ -178,7 +178,7 @@ def test_an_axis_that_is_only_held_is_given_no_numbers_before_the_fit_can_tell()
     assert states[-1].axes["z"].state == "known"
 
 
-def test_a_refit_that_knows_its_axes_stands_until_the_data_have_doubled_or_its_values_leave_its_intervals() -> None:
+def test_a_refit_that_knows_axes_and_laws_stands_for_longer_while_its_values_stay_in_its_intervals() -> None:
     flight, following = known_flight(), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         following.look(part, now)
@@ -191,3 +191,13 @@ def test_a_refit_that_knows_its_axes_stands_until_the_data_have_doubled_or_its_v
     assert growth(fitted) == REFIT_SETTLED
     assert growth(away) == REFIT
     assert growth(replace(fitted, estimates={})) == REFIT_UNKNOWN
+    assert growth(under_laws(fitted, 0.9, 0.1)) == REFIT_SETTLED
+    assert growth(under_laws(fitted, 0.6, 0.4)) == REFIT
+
+
+def under_laws(fitted: GroupEstimate, *weights: float) -> GroupEstimate:
+    """The estimate of z as if its refit had given several laws these weights."""
+    model, predictor = fitted.fit.model, Predictor(1.0, 1.0, 0.1)
+    laws = tuple(Weighed(LAW, weight, 0.0, predictor, {}, ()) for weight in weights)
+    axes = {**model.axes, "z": replace(model.axes["z"], laws=laws)}
+    return replace(fitted, fit=replace(fitted.fit, model=replace(model, axes=axes)))

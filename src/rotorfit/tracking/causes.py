@@ -1,12 +1,20 @@
 """The probable cause of a change: the estimated shifts of the coefficients, compared with those of each cause.
 
 A cause is a subspace of the shifts: some coefficients change, by a common factor or each by itself, and the others do
-not. Each cause is fitted to the shifts, weighted by their precision. Schwarz's criterion selects one by its residual
-and its number of parameters; the share of each cause in the evidence says how certain the choice is.
+not. Each is fitted to the shifts of all axes, weighted by their precision; axes that stayed count as much as those that
+moved. Schwarz's criterion compares them by twice the negative logarithm of their evidence,
 
-Source: G. Schwarz, Ann. Statist. 6 (1978), pp. 461-464.
+    sum (n + d) log(1 + r / n) + k log(60)
+
+with the sum over the likelihoods: r is the residual sum of squares, d the number of directions, n the degrees of
+freedom of their variance (the shifts have a multivariate t distribution), k the number of parameters. The cause with
+the largest share of the evidence, summed over its subspaces, is named, and its share says how certain it is.
+
+Source: G. Schwarz, Ann. Statist. 6 (1978), pp. 461-464; K. L. Lange, R. J. A. Little, J. M. G. Taylor, J. Am. Statist.
+Assoc. 84 (1989), pp. 881-896 (multivariate t).
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -16,13 +24,17 @@ from rotorfit.core.frames import Array, Mask
 from rotorfit.core.model import NORMAL
 from rotorfit.core.tracked import Cause
 from rotorfit.tracking.changes import Contrast
-from rotorfit.tracking.scores import Scores
+from rotorfit.tracking.scores import FADES, Scores
 
 PRICE = float(np.log(60.0))
 """Penalty for each parameter of a cause: the logarithm of the number of independent samples in about two seconds."""
 
 CURVED = 0.1
 """Error of the first-order shift over the square of the shift, both in units of `scores.EXPECTED`."""
+
+COMPENSATES = (0.2, 1.7)
+"""Time constants with which an autopilot may learn a push [s]: a thrust estimate that follows the acceleration, and the
+slow pole of a climb loop with an integrator. Jolts are looked for with `scores.FADES`, which lies between."""
 
 WORDS: Mapping[Cause, str] = {
     "payload": "a payload was taken up or dropped, or thrust was lost evenly: weight against thrust has changed",
@@ -44,7 +56,6 @@ class Diagnosis:
             delay [s] or trim [m/s^2, rad/s^2].
         confidence: Share of the evidence for this cause, on any axes.
         why: The reason, in one sentence.
-        plain: Share of the evidence for this cause on exactly these axes.
     """
 
     cause: Cause
@@ -52,7 +63,6 @@ class Diagnosis:
     change: Mapping[str, tuple[float, float]]
     confidence: float
     why: str
-    plain: float
 
 
 def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
@@ -65,28 +75,34 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     names = [name for scores, _ in parts for name in scores.names]
     shift = np.concatenate([found.shift for _, found in parts])
     scale = np.concatenate([scores.scale for scores, _ in parts])
+    ends = np.cumsum([0, *(found.shift.size for _, found in parts)])
+    own = [slice(begin, end) for begin, end in itertools.pairwise(ends)]
     precision = np.zeros((shift.size, shift.size))
-    at = 0
-    for scores, found in parts:
-        size = found.shift.size
-        precision[at : at + size, at : at + size] = _bent(scores, found)
-        at += size
+    for one, part in zip(own, parts, strict=True):
+        precision[one, one] = _bent(*part)
     shown = set(max(parts, key=lambda part: part[1].statistic)[0].names)
     concerned = [name in shown for name in names]
     seen = precision.diagonal() > 0  # a coefficient without information takes part in no cause
     causes = [(cause, basis) for cause, basis in _causes(names, seen) if basis[concerned].any()]
-    fitted = [(cause, _fitted(basis, shift, precision)) for cause, basis in causes]
-    costs = np.array([left + PRICE * np.linalg.matrix_rank(basis) for _, (left, _, _, basis) in fitted])
+    fitted = [_fitted(basis, shift, precision) for _, basis in causes]
+    named = np.array([cause for cause, _ in causes])
+    costs = PRICE * np.array([basis.shape[1] for _, basis in causes])
+    costs[named == "other"] += 2 * np.log(max(np.sum(named == "other"), 1))  # together as likely as each named one
+    for one, (_, found) in zip(own, parts, strict=True):
+        off = np.array([shift[one] - moved[one] for moved, _ in fitted])
+        residual = np.maximum(np.einsum("ij,jk,ik->i", off, precision[one, one], off), 0.0)
+        costs += (found.freedom + found.directions) * np.log1p(residual / found.freedom)
     share = np.exp(-0.5 * (costs - costs.min()))
-    share /= share.sum()
-    best = int(np.argmin(costs))
-    cause, (_, moved, error, _) = fitted[best]
-    change = _intervals(names, moved, error, scale)
+    evidence = {cause: float(share[named == cause].sum() / share.sum()) for cause, _ in causes}
+    cause = max(evidence, key=lambda one: evidence[one])
+    moved, error = fitted[int(np.argmin(np.where(named == cause, costs, np.inf)))]
+    age = [float(scores.time[-1]) - found.since if found.jolt else 0.0 for scores, found in parts]
+    change = _intervals(names, moved, error, scale, np.repeat(age, np.diff(ends)))
+    if cause == "thrust":  # what it does to x and y is no change of their coefficients
+        change = {name: interval for name, interval in change.items() if name.endswith(".trim")}
     axes = tuple(dict.fromkeys(name.split(".")[0] for name in change))
-    others = sorted(zip(share, fitted, strict=True), key=lambda pair: -pair[0])
-    second = next(((s, c) for s, (c, _) in others if c != cause), None)
-    confidence = float(share[[c == cause for c, _ in fitted]].sum())
-    return Diagnosis(cause, axes, change, confidence, _why(cause, second), float(share[best]))
+    second = max(((each, one) for one, each in evidence.items() if one != cause), default=None)
+    return Diagnosis(cause, axes, change, evidence[cause], _why(cause, second))
 
 
 def _bent(scores: Scores, found: Contrast) -> Array:
@@ -112,6 +128,7 @@ def _causes(names: Sequence[str], seen: Mask) -> list[tuple[Cause, Array]]:
     def each(*wanted: str) -> Array:
         return np.eye(len(names))[:, seen & np.isin(names, wanted)]
 
+    tilted = [name for name in names if name.startswith(("x.", "y."))]
     gains, delays = ([n for n in names if n.endswith(f".{part}")] for part in ("input", "delay"))
     found: list[tuple[Cause, Array]] = [
         ("payload", each("z.trim")),
@@ -122,9 +139,11 @@ def _causes(names: Sequence[str], seen: Mask) -> list[tuple[Cause, Array]]:
         ("limits", alike(*gains)),
         ("limits", alike("x.input", "y.input")),
         *(("limits", each(gain)) for gain in gains),
-        ("other", each(*names)),
     ]
+    if each("yaw.trim").size:  # a weak rotor tilts the vehicle, too: a push that fades, and any coefficient follows it
+        found.append(("thrust", each("z.trim", "yaw.trim", *tilted)))
     axes = dict.fromkeys(name.split(".")[0] for name in names)
+    found += [("other", each(*names)), ("other", each(*tilted))]
     found += [("other", each(*(name for name in names if name.startswith(f"{axis}.")))) for axis in axes]
     used: list[tuple[Cause, Array]] = []
     for cause, basis in found:
@@ -133,29 +152,46 @@ def _causes(names: Sequence[str], seen: Mask) -> list[tuple[Cause, Array]]:
     return used
 
 
-def _fitted(basis: Array, shift: Array, precision: Array) -> tuple[float, Array, Array, Array]:
-    """Residual sum of squares of a cause, its fitted shifts and their standard errors, shape (P,), and its basis."""
+def _fitted(basis: Array, shift: Array, precision: Array) -> tuple[Array, Array]:
+    """Fitted shifts of a cause and their standard errors, shape (P,)."""
     inverse = np.linalg.pinv(basis.T @ precision @ basis, rcond=1e-9, hermitian=True)
     moved = basis @ (inverse @ (basis.T @ precision @ shift))
-    off = shift - moved
-    error = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, inverse, basis), 0.0))
-    return float(off @ precision @ off), moved, error, basis
+    return moved, np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, inverse, basis), 0.0))
 
 
-def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -> dict[str, tuple[float, float]]:
-    """95 % intervals of what changed, in natural units."""
+def _intervals(
+    names: Sequence[str], moved: Array, error: Array, scale: Array, fading: Array
+) -> dict[str, tuple[float, float]]:
+    """95 % intervals of what changed, in natural units; `fading` is the age of a push that fades, else 0 [s]."""
     out = {}
-    for name, value, wide, size in zip(names, moved, error, scale, strict=True):
+    for name, value, wide, size, age in zip(names, moved, error, scale, fading, strict=True):
         if wide == 0.0:
             continue
         low, high = (value - NORMAL * wide) * size, (value + NORMAL * wide) * size
         kind = name.split(".")[1]
         if kind == "input":  # the motion is linear in the gain, not in its logarithm
             low, high = 1 + low, 1 + high
+        elif kind == "trim" and age > 0:
+            ends = [end * _first_push(age, time) for end in (low, high) for time in COMPENSATES]
+            low, high = min(ends), max(ends)
         elif kind not in ("delay", "trim"):
             low, high = float(np.exp(low)), float(np.exp(high))
         out[name] = (float(low), float(high))
     return out
+
+
+def _first_push(age: float, time: float) -> float:
+    """First acceleration of a push that fades with a time constant, over that of one with `FADES` fitted to it.
+
+    By least squares to the acceleration since, as the innovations of accurate poses show it: with the rates a of
+    `FADES` and c of the push, the ratio of the integrals of exp(-(a + c) t) and exp(-2 c t).
+
+    Args:
+        age: Time since the push [s].
+        time: Its time constant [s].
+    """
+    both, own = 1 / FADES + 1 / time, 2 / time
+    return float(np.expm1(-both * age) / both / (np.expm1(-own * age) / own))
 
 
 def _why(cause: Cause, second: tuple[float, Cause] | None) -> str:

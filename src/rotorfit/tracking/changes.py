@@ -83,6 +83,7 @@ class Contrast:
         directions: Number of directions.
         p_value: Probability of so large a statistic without a change.
         freedom: Degrees of freedom of the variance of the scores.
+        jolt: Whether it is a push that fades rather than coefficients of the window.
     """
 
     since: float
@@ -92,12 +93,13 @@ class Contrast:
     directions: int
     p_value: float
     freedom: float
+    jolt: bool = False
 
 
 def contrast(scores: Scores, since: float) -> Contrast | None:
     """The window from `since` [s] to the end, against the time before it, in all directions; None if undetermined."""
     compared = _compared(scores, since)
-    return _along(scores, compared, np.eye(len(scores.names)), UNLIKELY) if compared else None
+    return _along(scores, compared, np.eye(len(scores.names)), 1.0) if compared else None
 
 
 @dataclass(frozen=True)
@@ -388,7 +390,7 @@ def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tu
         trim = np.array([name.endswith(".trim") for name in scores.names])
         statistic = size**2 * power
         out[scores.names] = Contrast(
-            float(one.time[best]), trim * size, np.diag(trim * power), statistic, 1, p_value, one.freedom
+            float(one.time[best]), trim * size, np.diag(trim * power), statistic, 1, p_value, one.freedom, jolt=True
         )  # fmt: skip
     return out
 
@@ -434,16 +436,15 @@ def calm(scores: Scores, since: float, p_value: float) -> bool:
     )
 
 
-def at_once(scores: Scores, looked: Sequence[Contrast], since: float) -> Contrast | None:
-    """The most significant contrast of other axes at the time of a change: the window since, or a jolt near it."""
-    jolts = [one for one in looked if scores.jolts.size and one.directions == 1 and abs(one.since - since) < TOGETHER]
-    window = contrast(scores, since)
-    return min((*jolts, *([window] if window else ())), key=_alone, default=None)
+def at_once(scores: Scores, looked: Sequence[Contrast], change: Contrast) -> Contrast | None:
+    """The contrast of other axes at the time of a change, however small: axes that stayed tell of the cause, too.
 
-
-def _alone(one: Contrast) -> float:
-    """The p-value of a contrast by itself, also where it was found together with those of other axes."""
-    return _p_value(one.statistic, one.directions, one.freedom)
+    Of the kind of the change: the jolt nearest to it where it is one, else the window since; None if undetermined. A
+    choice by significance would take the chance of several tests for a shift.
+    """
+    jolts = [one for one in looked if one.jolt and abs(one.since - change.since) < TOGETHER] if change.jolt else []
+    nearest = min(jolts, key=lambda one: abs(one.since - change.since), default=None)
+    return nearest or contrast(scores, change.since)
 
 
 def since_when(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> tuple[Contrast, tuple[float, float]]:

@@ -31,6 +31,7 @@ from rotorfit.estimation.zero_command import commanded_parts, late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import (
+    LEAST_CHUNKS,
     Contrast,
     at_once,
     calm,
@@ -57,7 +58,7 @@ from rotorfit.tracking.refits import (
     stepped,
     together,
 )
-from rotorfit.tracking.scores import GUST_POWERS, WINDOWS, Doubts, Estimates, Scores, let_go, scores_of
+from rotorfit.tracking.scores import CHUNK, GUST_POWERS, WINDOWS, Doubts, Estimates, Scores, let_go, scores_of
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
@@ -302,6 +303,8 @@ class Following:
             self._raised = raised
             return None
         before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
+        if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in before.groups.values()):
+            return None  # no window has a rest that is long enough
         known = _renewed(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths)
@@ -327,7 +330,7 @@ class Following:
         others = [
             (scores, there)
             for other, scores in scored.items()
-            if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best.since))
+            if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
         ]
         named = diagnosis([(scored[names], best), *others])
         alarm = Alarm(
@@ -499,9 +502,15 @@ def _held(group: Group, flight: Flight, now: float) -> tuple[str, ...]:
 
 
 def _renewed(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
-    """The estimates of groups, unmoved, applied to the flight so far."""
-    parts = [(group.fitted, group.part(flight, _looks_back(group.since, now), now)) for group in groups.values()]
-    return [renewed(known, part) for known, part in parts if known and part and part.duration >= LEAST_TIME]
+    """The estimates of groups, unmoved, applied to the flight so far; those of a look at this moment are already."""
+    out = []
+    for group in groups.values():
+        if group.fitted is None:
+            continue
+        part = group.part(flight, _looks_back(group.since, now), now)
+        if part and part.duration >= LEAST_TIME:
+            out.append(group.fitted if group.looked == now else renewed(group.fitted, part))
+    return out
 
 
 def _looks_back(since: float, now: float) -> float:

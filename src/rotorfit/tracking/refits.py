@@ -36,11 +36,14 @@ LONGEST = 300.0
 REFIT_UNKNOWN = 1.2
 """As `REFIT`, as long as the last refit gave no numbers."""
 
+CLEAR = 0.75
+"""Weight of a law below which another one may soon be likelier: odds of 3 (Kass and Raftery)."""
+
 PASSES = 3
 """Passes over the data that a step may take: one to evaluate, two to move."""
 
-EARLY, GROWN = 30.0, 1.03
-"""Excited time during which a step is taken every second [s]; growth of it that calls for a step later."""
+GROWN = 1.015
+"""Growth of the excited time that calls for a step: each look of the first minute has one."""
 
 LEVELS_EVERY = 5
 """Every how many steps the levels of the disturbance move too: they change slowly, and cost as much as the rest."""
@@ -176,11 +179,14 @@ def growth(fitted: GroupEstimate) -> float:
 
 
 def _settled(fitted: GroupEstimate) -> bool:
-    """Whether the last refit knew every axis of the group, and its intervals still hold the values.
+    """Whether the last refit knew every axis of the group and its law, and its intervals still hold the values.
 
-    Steps then follow the data, and the intervals the information. Only a refit closes an open interval, or shapes one
-    anew around a value far from where it was profiled.
+    Steps then follow the data, and the intervals the information. Only a refit weighs the laws, closes an open
+    interval, or shapes one anew around a value far from where it was profiled.
     """
+    laws = (fitted.fit.model.axes[axis].laws for axis in fitted.group)
+    if any(weighed and weighed[0].weight < CLEAR for weighed in laws):
+        return False
     return all(axis in fitted.estimates and _within(fitted, axis) for axis in fitted.group)
 
 
@@ -213,7 +219,7 @@ def stepped(fitted: GroupEstimate, flight: Flight, excited: float) -> GroupEstim
         excited: Excited time since the regime began [s].
     """
     new = renewed(fitted, flight)
-    if not new.estimates or (excited > EARLY and not grown(fitted.stepped, excited, GROWN)):
+    if not new.estimates or not grown(fitted.stepped, excited, GROWN):
         return new
     levels = (fitted.steps + 1) % LEVELS_EVERY == 0
     if len({id(one.optimum) for one in new.estimates.values()}) < len(new.estimates):  # x and y share a likelihood
