@@ -335,7 +335,7 @@ class _Jolts:
     Attributes:
         time: Instants, shape (n,) [s].
         product, power: Inner product of the jolt's shape with the innovations, and with itself, shape (n,).
-        wrong: Largest square that wrong poses would explain there instead, shape (n,).
+        wrong: Largest square that a wrong pose would explain instead, at any block since the first instant.
         variance: Variance of the filter's normalised output, from its past.
         freedom: Degrees of freedom of that variance.
     """
@@ -343,7 +343,7 @@ class _Jolts:
     time: Array
     product: Array
     power: Array
-    wrong: Array
+    wrong: float
     variance: float
     freedom: float
 
@@ -359,14 +359,16 @@ def _jolts_of(scores: Scores) -> _Jolts | None:
     if not scores.jolts[first:end].any(axis=0).all():  # a gap in the poses
         return None
     under = (scores, *scores.under_gusts)[scores.gusts]
-    matched = np.array([_matched(under.innovation, h, new) for h in under.jolts[first:end].T])
-    gain, (product, power) = matched[:, 0] ** 2 / matched[:, 1], matched[0]
+    h, *wrongs = under.jolts[first:end].T
+    product, power = _matched(under.innovation, h, new)
+    since = np.arange(new[0], scores.time.size)  # a wrong pose may be the last one: a jolt takes longer to be visible
+    wrong = [_matched(under.innovation, each, since) for each in wrongs]
     h, before = scores.jolts[first:end, 0], scores.innovation[: new[0]]
     usual = np.correlate(before, h, "valid") ** 2 / float(h @ h)
     freedom = chunks * min(3.0 * float(usual.mean() ** 2 / max(np.mean(usual**2), 1e-300)), 1.0)
     largest = float(np.quantile(usual, RARE)) / RARE_OF_NORMAL
     variance = MARGIN * max(float(usual.mean()), largest, 1.0)
-    return _Jolts(scores.time[new], product, power, gain[1:].max(axis=0), variance, freedom)
+    return _Jolts(scores.time[new], product, power, max(float((p**2 / q).max()) for p, q in wrong), variance, freedom)
 
 
 def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tuple[str, ...], Contrast]:
@@ -381,7 +383,7 @@ def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tu
     gain = np.array([one.product**2 / one.power for one in found])
     told = (gain / np.array([[one.variance] for one in found])).sum(axis=0)
     best = int(np.argmax(told))
-    if gain[:, best].sum() < np.max([one.wrong for one in found], axis=1).sum():
+    if gain[:, best].sum() < sum(one.wrong for one in found):
         return {}
     p_value = _p_value(float(told[best]), len(found), min(one.freedom for one in found))
     out = {}
