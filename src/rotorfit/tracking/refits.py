@@ -27,7 +27,7 @@ from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.zero_command import commanded_parts
 
-REFIT, REFIT_SETTLED = 1.5, 2.0
+REFIT, REFIT_SETTLED = 1.5, 2.5
 """Growth of the excited time that calls for a refit, and the same as long as the last refit is `_settled`."""
 
 LONGEST = 300.0
