@@ -18,8 +18,10 @@ from click.testing import CliRunner, Result
 
 from rotorfit.app.cli import main
 from rotorfit.app.live.page_server import LivePage
+from rotorfit.app.workflows import training_flights
 from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
 from rotorfit.files.logs import read
+from rotorfit.files.models import load
 
 QUICK = ("--pace", "1000", "--structure", "first_order_delay")
 ALARM = Alarm(3.0, ("x",), "payload", (1.0, 2.0), {"x.input": (0.8, 0.9)}, 0.9, 1e-9, "because")
@@ -69,6 +71,7 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
     assert {"/rotorfit/command", "/rotorfit/pose"} <= log.tables.keys()
     assert b"/rotorfit/motion" in record.read_bytes()
     assert "card" in log.attached
+    assert len(training_flights(load(model))[0]) == 1  # a report knows what it was fitted to
     assert CliRunner().invoke(main, ["fit", str(record), *QUICK[2:]]).exit_code == 0
 
     again = run("--link", "sim", "--for", "3", "--jsonl", "--state", str(memory), *QUICK)

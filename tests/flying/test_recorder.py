@@ -124,7 +124,7 @@ def test_info_shows_what_is_attached_and_what_happened(tmp_path: Path) -> None:
 
     (survey,) = survey_logs([str(filled(tmp_path / "log.mcap"))])
     assert survey.recording == {"plan": "sines", "link": "sim", "rotorfit": __version__}
-    assert survey.events == ((0.0, "plan begins"), (pytest.approx(10.0), "end: completed"))
+    assert survey.events == ((pytest.approx(0.0, abs=1e-6), "plan begins"), (pytest.approx(10.0), "end: completed"))
     console = Console(width=200, file=io.StringIO())
     for part in survey_view(survey):
         console.print(part)

@@ -27,7 +27,7 @@ from rotorfit.core.display import html_table, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import FIRST_ORDER_DELAY
-from rotorfit.core.model import Model
+from rotorfit.core.model import COEFFICIENTS, Model
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale
@@ -225,6 +225,10 @@ def _note(model: Model, axis: str, noise: float | None) -> str:
     known = model.axes[axis]
     if known.structure != FIRST_ORDER_DELAY.name:
         notes.append(f"tuned for the first-order law with a delay, not for {known.structure}")
+    status = known.plain.status if known.plain and known.structure != FIRST_ORDER_DELAY.name else known.status
+    if unknown := [name for name in COEFFICIENTS[:2] if status[name] != "ok"]:
+        said = " and ".join(f"{name} ({status[name].replace('_', ' ')})" for name in unknown)
+        notes.append(f"the model does not know {said}: tuned for the values that predict best, with margins for others")
     if known.delay is None and f"{axis}.delay" not in model.covariance_names:
         notes.append(
             f"the delay is not known: the law looks ahead by none, its margins are for {DELAY[0]:g} +- {DELAY[1]:g} s"

@@ -122,7 +122,7 @@ class Survey:
         problem: Why there is no card or no flight, one line.
         why: Why that card was chosen; None where it was given.
         recording: For a log of `rotorfit fly`: `plan` (its name), `link`, `rotorfit` (version).
-        events: Events recorded by `rotorfit fly`: seconds since the first one, and the text.
+        events: Events recorded by `rotorfit fly` and `rotorfit track`: seconds since the first message, and the text.
         damage: Finding on the losses of a damaged log.
     """
 
@@ -193,9 +193,15 @@ def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
         problem=problem,
         why=why,
         recording=_recording(log),
-        events=tuple(((event.time - log.events[0].time) / 1e9, event.text) for event in log.events),
+        events=tuple(((event.time - _begun(log)) / 1e9, event.text) for event in log.events),
         damage=damage_of(log),
     )
+
+
+def _begun(log: Log) -> int:
+    """When the first message of a log arrived or the first event happened, by the recorder's clock [ns]."""
+    stamps = [table.columns["log_time"] for table in log.tables.values() if "log_time" in table.columns]
+    return min([event.time for event in log.events] + [int(each[0]) for each in stamps if len(each)])
 
 
 def _recording(log: Log) -> dict[str, str]:

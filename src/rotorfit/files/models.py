@@ -67,7 +67,7 @@ def load(path: str | Path) -> Model:
         ) from None
     except ValueError as error:
         raise ModelError(
-            f"{path}: not a model file ({error}); give one written by `rotorfit fit -o`, before any logs"
+            f"{path}: not a model file, or a damaged one ({error}); `rotorfit fit -o` and `track -o` write them"
         ) from None
     return from_mapping(raw, str(path))
 

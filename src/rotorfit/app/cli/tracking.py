@@ -230,7 +230,7 @@ def _listened(
 ) -> tuple["Track", "Flight | None", str]:  # fmt: skip
     """Tracks a link; the track, the remembered part of the flight, and why the link was lost, or an empty string."""
     from rotorfit.app.live.outlets import Outlet, Recording, Remembering
-    from rotorfit.app.live.session import card_for_link, track_link
+    from rotorfit.app.live.session import card_for_link, track_link, with_recording
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
     from rotorfit.app.terminal.tracking import line_of
     from rotorfit.flying.links.opening import open_listener
@@ -287,6 +287,8 @@ def _listened(
             with shown_line(lambda: line_of(tracker.state())):
                 moving = [*views.moving, *([recording.motion] if recording else [])]
                 result = track_link(tracker, listening, outlets, report, say, moving)
+            if record:
+                result = with_recording(result, record)
     return result, tracker.flight(), listening.ended if listening.lost else ""
 
 

@@ -1,7 +1,10 @@
 """A session: connects a link, a tracker and the outlets."""
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rotorfit.core.card import Card
@@ -107,3 +110,17 @@ def track_link(
         for outlet in outlets:
             outlet.close()
     return Track(tuple(states), regimes)
+
+
+def with_recording(track: Track, path: Path) -> Track:
+    """The track with models that know their recording: to a report it is the flight that they were fitted to."""
+    if not path.is_file():  # no pose was heard
+        return track
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    regimes = []
+    for regime in track.regimes:
+        if model := regime.model:
+            model = replace(model, flights=tuple(replace(flight, sha256=digest) for flight in model.flights))
+        regimes.append(replace(regime, model=model))
+    return replace(track, regimes=tuple(regimes))
