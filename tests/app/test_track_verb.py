@@ -138,6 +138,16 @@ def test_people_get_words_a_model_and_a_page(log: tuple[str, ...], tmp_path: Pat
     assert json.loads(model.read_text(encoding="utf-8"))["axes"]["x"]["input"] > 0
 
 
+def test_faults_of_the_data_are_told_and_kept_as_by_fit(tmp_path: Path) -> None:
+    csv, model = Csv(simulate_flight(Truth(), steps(("x", "y")), 20.0, seed=6)), tmp_path / "model.json"
+    csv.command[:, [0, 1]] = csv.command[:, [1, 0]]
+    result = CliRunner().invoke(main, ["track", *csv.write(tmp_path), "--structure", LAW, "-o", str(model)])
+
+    assert result.exit_code == 0, result.output
+    assert "error axes_exchanged: " in result.stderr
+    assert "axes_exchanged" in [one["code"] for one in json.loads(model.read_text(encoding="utf-8"))["findings"]]
+
+
 def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have_settled(
     log: tuple[str, ...], tmp_path: Path
 ) -> None:

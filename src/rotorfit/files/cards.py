@@ -66,7 +66,8 @@ def load_card(name_or_path: str | Path) -> Card:
     path = Path(name_or_path)
     if not is_file(path):
         raise CardError(
-            f"no card {name_or_path[:200]!r}: neither a file nor a built-in name{nearest(name_or_path, built_in)} "
+            f"no card {name_or_path[:200]!r}: neither a file nor a built-in name"
+            f"{'' if path.suffix else nearest(name_or_path, built_in)} "
             "(`rotorfit cards` lists them)"
         )
     try:

@@ -190,6 +190,7 @@ def _replayed(
     earlier: "Earlier | None", regaining: "Regaining | None",
 ) -> tuple["Track", "Flight", str]:  # fmt: skip
     """Tracks a log as if live; the track, the flight, and who ended it early, or an empty string."""
+    from rotorfit.app.live.session import with_findings_of
     from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
@@ -201,6 +202,9 @@ def _replayed(
     for note in flight.notes:
         if note.code.startswith("card_"):
             click.echo(f"{log}: {note.text}", err=True)
+    for finding in flight.findings:
+        if finding.severity != "info":
+            click.echo(f"{finding.severity} {finding.code}: {finding.evidence}; {finding.remedy}", err=True)
     if earlier and (told := another_card(earlier, flight.card)):
         click.echo(f"{log}: {told}", err=True)
     begun, show_state = time.monotonic(), _shown(jsonl)
@@ -220,7 +224,7 @@ def _replayed(
     if stopped := abort():
         line_cleared()
         click.echo(f"{log}: ended by {stopped} at {result.states[-1].time:.1f} s", err=True)
-    return result, flight, stopped
+    return with_findings_of(result, flight), flight, stopped
 
 
 def _listened(
