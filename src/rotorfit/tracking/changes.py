@@ -368,7 +368,8 @@ def _jolts_of(scores: Scores) -> _Jolts | None:
     freedom = chunks * min(3.0 * float(usual.mean() ** 2 / max(np.mean(usual**2), 1e-300)), 1.0)
     largest = float(np.quantile(usual, RARE)) / RARE_OF_NORMAL
     variance = MARGIN * max(float(usual.mean()), largest, 1.0)
-    return _Jolts(scores.time[new], product, power, max(float((p**2 / q).max()) for p, q in wrong), variance, freedom)
+    most = max(float((p**2 / np.maximum(q, 1e-300)).max()) for p, q in wrong)
+    return _Jolts(scores.time[new], product, power, most, variance, freedom)
 
 
 def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tuple[str, ...], Contrast]:
