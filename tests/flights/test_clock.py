@@ -75,6 +75,12 @@ def test_stamps_too_large_for_seconds_ask_for_their_unit(values: object) -> None
         stamps_of(log_of(t=values), Channel("t"))
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_the_unit_that_is_proposed_makes_stamps_since_1970(unit: str, factor: float) -> None:
+    with pytest.raises(CardError, match=f'unit = "{unit}", which would be 1.7e\\+09 s'):
+        stamps_of(log_of(t=np.array([1.7e9, 1.7e9 + 1]) * factor), Channel("t"))
+
+
 def test_increasing_keeps_what_is_later_than_all_before() -> None:
     stamps = np.array([5, 7, 7, 6, 8, 2, 9])
 

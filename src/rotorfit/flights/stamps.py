@@ -36,6 +36,9 @@ COARSE = 4.0
 
 _NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
+SINCE_1970 = 0.9e9, 4.1e9
+"""Seconds from 1970 to the years 1998 and 2099."""
+
 
 @dataclass(frozen=True)
 class Rate:
@@ -123,8 +126,11 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
     in_range = finite & (sizes * abs(time.scale) + abs(time.offset) < 2.0**62 / factor)
     if np.sum(in_range) < np.sum(finite) / 2:
         typical = float(np.median(sizes[finite]))
+        counted = {each: typical * _NS[each] / 1e9 for each in ("ms", "us", "ns")}
+        likely = next((each for each, seconds in counted.items() if SINCE_1970[0] < seconds < SINCE_1970[1]), "ns")
         raise CardError(
-            f'{log.path}: stamps of {time.source} are about {typical:.3g} {unit}: add their unit, as unit = "ns"'
+            f"{log.path}: stamps of {time.source} are about {typical:.3g} {unit}: add their unit, as unit = "
+            f'"{likely}", which would be {counted[likely]:.3g} s'
         )
     kept = np.where(in_range, raw, 0)
     if whole and time.scale == 1:  # exact: float64 would round nanoseconds since 1970 to 256 ns
