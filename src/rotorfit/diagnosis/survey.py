@@ -193,15 +193,17 @@ def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
         problem=problem,
         why=why,
         recording=_recording(log),
-        events=tuple(((event.time - _begun(log)) / 1e9, event.text) for event in log.events),
+        events=_events(log),
         damage=damage_of(log),
     )
 
 
-def _begun(log: Log) -> int:
-    """When the first message of a log arrived or the first event happened, by the recorder's clock [ns]."""
+def _events(log: Log) -> tuple[tuple[float, str], ...]:
+    """The events of a log: time since the first message, or since the first event where that was earlier [s]; text."""
     stamps = [table.columns["log_time"] for table in log.tables.values() if "log_time" in table.columns]
-    return min([event.time for event in log.events] + [int(each[0]) for each in stamps if len(each)])
+    times = [event.time for event in log.events] + [int(each[0]) for each in stamps if len(each)]
+    begun = min(times, default=0)
+    return tuple(((event.time - begun) / 1e9, event.text) for event in log.events)
 
 
 def _recording(log: Log) -> dict[str, str]:

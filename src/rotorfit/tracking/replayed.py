@@ -7,6 +7,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.laws import AVERAGED
+from rotorfit.core.model import with_findings
 from rotorfit.core.tracked import Track, Tracked
 from rotorfit.tracking.earlier import Earlier, check_earlier
 from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, Following
@@ -38,7 +39,7 @@ def tracked(
         tuned: As for `Following`.
 
     Returns:
-        All states, the last one after a final fit, and the regimes.
+        All states, the last one after a final fit, and the regimes; their models carry the findings about the data.
 
     Raises:
         CardError: The commands of the earlier model have another meaning.
@@ -58,6 +59,10 @@ def tracked(
             break
     last, regimes = following.finish(flight, flight.segments[-1].end)
     on_state(last)
+    regimes = tuple(
+        replace(one, model=one.model and with_findings(one.model, (*flight.findings, *one.model.findings)))
+        for one in regimes
+    )
     return Track((*states, last), regimes)
 
 

@@ -190,7 +190,6 @@ def _replayed(
     earlier: "Earlier | None", regaining: "Regaining | None",
 ) -> tuple["Track", "Flight", str]:  # fmt: skip
     """Tracks a log as if live; the track, the flight, and who ended it early, or an empty string."""
-    from rotorfit.app.live.session import with_findings_of
     from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
@@ -224,7 +223,7 @@ def _replayed(
     if stopped := abort():
         line_cleared()
         click.echo(f"{log}: ended by {stopped} at {result.states[-1].time:.1f} s", err=True)
-    return with_findings_of(result, flight), flight, stopped
+    return result, flight, stopped
 
 
 def _listened(

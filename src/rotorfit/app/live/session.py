@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError
-from rotorfit.core.finding import by_gravity
-from rotorfit.core.flight_data import Flight
-from rotorfit.core.model import Model, with_findings
+from rotorfit.core.model import Model
 from rotorfit.core.tracked import Track, Tracked
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.flying.links.opening import check_listens, split
@@ -125,14 +123,5 @@ def with_recording(track: Track, path: Path) -> Track:
     def known(model: Model) -> Model:
         return replace(model, flights=tuple(replace(flight, sha256=digest) for flight in model.flights))
 
-    return _with_models(track, known)
-
-
-def with_findings_of(track: Track, flight: Flight) -> Track:
-    """The track with models that carry the findings about the data of a flight, as those of a fit do."""
-    return _with_models(track, lambda model: with_findings(model, by_gravity((*flight.findings, *model.findings))))
-
-
-def _with_models(track: Track, change: Callable[[Model], Model]) -> Track:
-    regimes = (replace(one, model=change(one.model)) if one.model else one for one in track.regimes)
+    regimes = (replace(one, model=known(one.model)) if one.model else one for one in track.regimes)
     return replace(track, regimes=tuple(regimes))
