@@ -1,6 +1,7 @@
 """Gains change in flight where the vehicle calls for it, once its interval has settled, and not otherwise."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from models import VEHICLE, Point, model_of
 from rotorfit.control.retuning import FASTER, Flown, Retuned, Retuning
 from rotorfit.control.tuning import tune
-from rotorfit.core.model import Model
+from rotorfit.core.model import Model, Plain, first_order
 
 pytestmark = pytest.mark.flights
 
@@ -36,6 +37,21 @@ def test_the_first_gains_come_when_a_second_fit_says_the_same() -> None:
     (found,) = looks(retuning, of_x())
     assert found.tuning.axes["x"].law == tune(of_x(), axes=("x",)).axes["x"].law
     assert "settled" in found.why["x"]
+
+
+def lagged() -> Model:
+    """The same with a lag, and the first-order law beside it."""
+    model = of_x()
+    x = model.axes["x"]
+    plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
+    return replace(model, axes={**model.axes, "x": replace(x, structure="first_order_delay_lag", plain=plain)})
+
+
+def test_an_axis_with_a_lag_is_tuned_for_the_first_order_law_beside_it() -> None:
+    (found,) = looks(Retuning(), lagged(), lagged())
+
+    assert found.tuning.axes["x"].law == tune(of_x(), axes=("x",)).axes["x"].law
+    assert "not for first_order_delay_lag" in found.tuning.axes["x"].note
 
 
 def test_fits_that_move_by_their_noise_never_make_it_chatter() -> None:

@@ -255,7 +255,7 @@ def _normal(law: Weighed) -> tuple[Array, Array]:
 def _with_law(model: Model, axis: str, law: Weighed) -> Model:
     """The model with a first-order law beside an axis, from which its gains are made."""
     nothing = dict.fromkeys(COEFFICIENTS)
-    plain = Plain(None, None, None, nothing, {}, {}, law)
+    plain = Plain(None, None, None, nothing, {}, dict.fromkeys(COEFFICIENTS, "ok"), law)  # what has settled is known
     return replace(model, axes={**model.axes, axis: replace(model.axes[axis], plain=plain)})
 
 
