@@ -7,7 +7,7 @@ controller knows the future, a law that fits best to poses stamped after the com
 are late, or those of the commands early.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -46,6 +46,9 @@ axes looked held."""
 
 THINNED = 2000
 """Largest number of averages used, evenly spread."""
+
+
+MotionOf = Callable[[Flight], Motion]
 
 
 @dataclass(frozen=True)
@@ -143,15 +146,18 @@ def _fitted(u: Array, velocity: Array, place: Array) -> tuple[float, float, Arra
     return left[1], left[0], np.asarray(solution[:2], np.float64)
 
 
-def restored_axes(flights: Sequence[Flight], axes: Sequence[str], least: int = LEAST) -> tuple[str, ...]:
+def restored_axes(
+    flights: Sequence[Flight], axes: Sequence[str], least: int = LEAST, motion_of: MotionOf = motion_from_flight
+) -> tuple[str, ...]:
     """The axes, of those given, that each flight which commands them only holds by such a law.
 
     Args:
         flights: The flights.
         axes: Names of axes.
         least: Least number of averages; where there are fewer, an axis is not held.
+        motion_of: Gives the motion of a flight.
     """
-    motions = [cache(partial(motion_from_flight, flight)) for flight in flights]
+    motions = [cache(partial(motion_of, flight)) for flight in flights]
 
     def held(axis: str) -> bool:
         k = AXES.index(axis)

@@ -35,31 +35,32 @@ class IrregularFourier:
     def __init__(self, points: Array, count: int) -> None:
         from scipy.fft import next_fast_len
 
-        self._count, self._size = count, int(next_fast_len(2 * count + WIDTH))
+        self._size = int(next_fast_len(2 * count + WIDTH))
         place = points * (self._size / (2 * np.pi))
         first = np.ceil(place - WIDTH / 2)
-        at = first[:, None] + np.arange(WIDTH)
-        self._at = np.mod(at, self._size).astype(np.int64)
-        off = (at - place[:, None]) / (WIDTH / 2)
-        self._weight = _kernel(off)
+        nodes = [first + w for w in range(WIDTH)]  # one after the other: all points at once take much memory
+        self._at = np.array([np.mod(node, self._size).astype(np.int64) for node in nodes])
+        self._weight = np.array([_kernel((node - place) / (WIDTH / 2)) for node in nodes])
         self._bin = np.mod(np.arange(count) - count // 2, self._size)
         self._transform = _transform(count, self._size)
         self._turn = np.exp(-1j * (count // 2) * points)  # the middle sum is number zero of the grid
 
     def over_points(self, coefficient: Array | Spectrum) -> Spectrum:
         """Sum over j of c_j exp(-i m x_j), shape (M,), of coefficients of shape (J,)."""
-        turned, at = coefficient * self._turn, self._at.ravel()
-        grid = np.empty(self._size, np.complex128)
-        grid.real, grid.imag = (
-            np.bincount(at, (self._weight * part[:, None]).ravel(), self._size) for part in (turned.real, turned.imag)
-        )
+        turned, grid = coefficient * self._turn, np.zeros(self._size, np.complex128)
+        for at, weight in zip(self._at, self._weight, strict=True):
+            grid.real += np.bincount(at, weight * turned.real, self._size)
+            grid.imag += np.bincount(at, weight * turned.imag, self._size)
         return np.asarray(np.fft.fft(grid)[self._bin] / self._transform)
 
     def at_points(self, coefficient: Array | Spectrum) -> Spectrum:
         """Sum over m of c_m exp(-i m x_j), shape (J,), of coefficients of shape (M,)."""
-        grid = np.zeros(self._size, np.complex128)
+        grid, total = np.zeros(self._size, np.complex128), np.zeros(self._turn.size, np.complex128)
         grid[self._bin] = coefficient / self._transform
-        return np.asarray(self._turn * np.einsum("jw,jw->j", self._weight, np.fft.fft(grid)[self._at]))
+        spectrum = np.fft.fft(grid)
+        for at, weight in zip(self._at, self._weight, strict=True):
+            total += weight * spectrum[at]
+        return np.asarray(self._turn * total)
 
 
 @lru_cache(maxsize=4)  # the axes of a flight have the same numbers of samples

@@ -14,7 +14,8 @@ from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, structu
 from rotorfit.core.model import NORMAL, STRUCTURE, Axis, Model, Plain, Predictor, Source, first_order, unknown_axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Outliers, PaperFit
-from rotorfit.diagnosis.position_loop import restored_axes
+from rotorfit.diagnosis.position_loop import MotionOf, restored_axes
+from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
 from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes
 from rotorfit.estimation.identifiability import LEAST_TIME
@@ -98,7 +99,7 @@ def fit(
         flights, outliers = without_outliers(flights, lambda some: _estimates(some, wanted))
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
-    found = _found(flights, wanted, method, structure, priors, paper, report)
+    found = _found(flights, wanted, method, structure, priors, paper, report, _motion_of(flights, paper))
     tested = {axis: test for axis, e in found.estimates.items() if (test := braking(e)) and test.acts}
     parts = {axis: [commanded_parts(f, (axis,), test.late) for f in flights] for axis, test in tested.items()}
     for axis, some in parts.items():
@@ -208,13 +209,14 @@ def _found(
     priors: Priors,
     paper: PaperFit,
     report: Progress,
+    motion_of: MotionOf = motion_from_flight,
 ) -> _Found:
     """Fits the requested axes, group by group."""
     groups, parts = groups_of(flights, wanted), list[_Found]()
 
     def found_of(group: Sequence[str]) -> _Found:
         if METHODS[method].likelihood:
-            return _likelihood_group(flights, group, priors, structure)
+            return _likelihood_group(flights, group, priors, structure, motion_of)
         if METHODS[method].estimator:
             return _regression_group(flights, group, method)
         return _paper_group(flights, group, paper)
@@ -307,9 +309,17 @@ def _without_velocity(flight: Flight, axes: Sequence[str]) -> Flight:
     return replace(flight, velocity=used, notes=(*flight.notes, Note("velocity_unused", text, velocity.time.size)))
 
 
-def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str) -> _Found:
+def _motion_of(flights: Sequence[Flight], paper: PaperFit) -> MotionOf:
+    """Gives the motion of a flight of the paper's regression, which has computed it."""
+    known = {id(flight): motion for flight, motion in zip(flights, paper.motions, strict=True)}
+    return lambda flight: known[id(flight)]
+
+
+def _likelihood_group(
+    flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str, motion_of: MotionOf
+) -> _Found:
     """The axes of one group by the likelihood, under the requested structure."""
-    estimates = estimate_group(flights, group, priors)
+    estimates = estimate_group(flights, group, priors, motion_of)
     if structure == AVERAGED and estimates:
         return _averaged(flights, group, estimates, priors)
     axes, covariance = _group_axes(flights, group, estimates)
@@ -390,7 +400,9 @@ def _other_structures(
     return _Found(axes, covariance, found, plain={axis: (plain[axis], estimates[axis]) for axis in known})
 
 
-def estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors) -> dict[str, Estimate]:
+def estimate_group(
+    flights: Sequence[Flight], group: Sequence[str], priors: Priors, motion_of: MotionOf = motion_from_flight
+) -> dict[str, Estimate]:
     """Maximum-likelihood estimates of the axes of one group; empty where the flights are too short."""
     serving = serving_flights(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]
@@ -398,7 +410,7 @@ def estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Prio
         return {}
     # Commands that only hold the position excite nothing, even where the stamps of different clocks place them before
     # the motion to which they respond.
-    held = restored_axes(serving, group)
+    held = restored_axes(serving, group, motion_of=motion_of)
     moving = [any(commands_axis(f, axis) for f in serving) and axis not in held for axis in group]
     if all(rec.held for rec in records):
         estimates = [

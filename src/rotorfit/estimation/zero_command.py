@@ -120,19 +120,29 @@ def _freed(rec: Record, estimate: Estimate, flight: int, rows: slice) -> tuple[A
 
     Both have shape (B,).
     """
-    k, K, point = estimate.place, len(rec.axes), estimate.optimum.point
-    start = point.start[rows]
+    white, begin = _whitened(rec, estimate, flight, estimate.optimum.point.start[rows])
+    segment = np.cumsum(rec.fresh)
+    starts = [white[:, begin] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
+    free = _basis(np.hstack([np.delete(white[:, :-1], begin, axis=1), *starts]))
+    own, e = white[:, -1], estimate.optimum.score.innovations[flight][:, estimate.place]
+    return own - free @ (free.T @ own), e - free @ (free.T @ e)
+
+
+def _whitened(rec: Record, estimate: Estimate, flight: int, start: Array) -> tuple[Array, slice]:
+    """Whitened effects on axis k of its own parameters, then those of `_positions`; places of the start velocities."""
+    point = estimate.optimum.point
     known = response(rec, point, flight, start)[1]
     columns = np.concatenate([known, _positions(rec, estimate, start)], axis=1)
-    white = whiten(rec, np.ascontiguousarray(columns), point.levels)[0][:, :, k]
-    segment, places = np.cumsum(rec.fresh), np.arange(known.shape[1] - K, known.shape[1])
-    starts = [white[:, places] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
-    nuisance = np.hstack([np.delete(white, [*places, -1], axis=1), *starts])
-    size = np.sqrt(np.sum(nuisance**2, axis=0))
-    basis = np.linalg.svd(nuisance[:, size > 0] / size[size > 0], full_matrices=False)
-    free = basis[0][:, basis[1] > DEPENDENT * basis[1][0]]
-    own, e = white[:, -1], estimate.optimum.score.innovations[flight][:, k]
-    return own - free @ (free.T @ own), e - free @ (free.T @ e)
+    begin = slice(known.shape[1] - len(rec.axes), known.shape[1])
+    del known  # half an hour takes 10 MB and more, and so do the next ones
+    return whiten(rec, columns, point.levels)[0][:, :, estimate.place].copy(), begin
+
+
+def _basis(columns: Array) -> Array:
+    """An orthonormal basis of columns (B, C), those without power and dependent ones left out."""
+    size = np.sqrt(np.sum(columns**2, axis=0))
+    basis, value, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(basis[:, value > DEPENDENT * value[0]])
 
 
 def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:

@@ -92,15 +92,19 @@ def _unforeseen(command: Array, surprise: Array) -> tuple[Array, Array] | None:
     reach = min(LOOP_MEMORY, command.size // 8)
     if not np.ptp(command) or reach < LOOP_STEPS:
         return None
+    from scipy.linalg import qr
+
     change = np.diff(command)[reach:]
     size = np.abs(change)
     quiet = size <= EXCITATION_STEP * np.median(size[size > 0]) if size.any() else size > 0
-    past = np.lib.stride_tricks.sliding_window_view(command, reach + 1)[:-1][quiet]
     before = np.lib.stride_tricks.sliding_window_view(surprise, LOOP_STEPS)[reach + 1 - LOOP_STEPS : -1, ::-1][quiet]
     change = change[quiet]
-    if len(past) <= 2 * reach:
+    if change.size <= 2 * reach:
         return None
-    known = np.linalg.qr(np.column_stack([np.ones(len(past)), past]))[0]
+    past = np.ones((change.size, reach + 2), order="F")
+    for step in range(reach + 1):
+        past[:, 1 + step] = command[step : step + quiet.size][quiet]
+    known = qr(past, overwrite_a=True, mode="economic", check_finite=False)[0]  # in place: it is large
     new = change - known @ (known.T @ change)
     if float(new @ new) <= UNPREDICTED * float(change @ change):
         return None
