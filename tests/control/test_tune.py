@@ -87,3 +87,12 @@ def test_noisy_poses_get_a_slower_filter() -> None:
 def test_what_cannot_be_asked_is_refused(asked: dict[str, object]) -> None:
     with pytest.raises(ModelError):
         tune(model_of(), **asked)  # type: ignore[arg-type]
+
+
+def test_a_delay_below_zero_is_tuned_as_none_and_said() -> None:
+    g, b, _ = VEHICLE["x"]
+    found = tune(model_of({"x": (g, b, -0.08)}), axes=("x",)).axes["x"]
+
+    assert found.law.delay == 0
+    assert "-0.08 s" in found.note
+    assert "tuned for none" in found.note

@@ -12,6 +12,9 @@ from rotorfit.core.model import COEFFICIENTS, Model, first_order
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 
+TINY = float(np.finfo(float).tiny)
+"""Lower limit of the size of a loop whose gain is so small that it counts as zero."""
+
 GRID = 300
 """Number of frequencies at which the loops of the draws are evaluated."""
 
@@ -57,11 +60,13 @@ class Doubt:
 def known_dynamics(model: Model, axis: str) -> AxisBelief:
     """The axis as a first-order law with a delay: its own law, or the one beside another law.
 
+    No vehicle moves before its command: a delay below 0, from stamps that are off, counts as none.
+
     Raises:
         ModelError: The axis was not excited.
     """
     point = first_order(model, axis).predictor
-    return AxisBelief(point.input, point.damping, point.delay)
+    return AxisBelief(point.input, point.damping, max(point.delay, 0.0))
 
 
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[AxisBelief]:
@@ -79,7 +84,8 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Ax
         ModelError: The axis was not excited.
     """
     rng = np.random.default_rng(seed)
-    values, law = np.tile(known_dynamics(model, axis), (count, 1)), first_order(model, axis)
+    law = first_order(model, axis)
+    values = np.tile([law.predictor.input, law.predictor.damping, law.predictor.delay], (count, 1))
     at = [COEFFICIENTS.index(name) for name in law.stderr]
     values[:, at] += rng.multivariate_normal(np.zeros(len(at)), law.covariance, count)
     if "delay" not in law.stderr:
@@ -142,10 +148,10 @@ def _quantile(values: Array, share: float) -> float:
 
 def _phase_and_delay(L: np.ndarray, w: Array) -> tuple[Array, Array]:
     """Least phase [rad] and delay margin [s] of each row; crossings are interpolated linearly between grid points."""
-    size, angle = np.log(np.abs(L)), np.mod(np.angle(-L), 2 * np.pi)
+    size, angle = np.log(np.maximum(np.abs(L), TINY)), np.mod(np.angle(-L), 2 * np.pi)
     crossing = size[:, :-1] * size[:, 1:] < 0
     share = np.where(crossing, size[:, :-1] / np.where(crossing, size[:, :-1] - size[:, 1:], 1.0), 0.0)
-    turn = np.angle(L[:, 1:] / L[:, :-1])
+    turn = np.angle(L[:, 1:] * L[:, :-1].conj())
     at = np.mod(angle[:, :-1] + share * turn, 2 * np.pi)
     frequency = w[:-1] + share * np.diff(w)
     phase = np.where(crossing, np.minimum(at, 2 * np.pi - at), np.pi).min(axis=1)

@@ -27,7 +27,7 @@ from rotorfit.core.display import html_table, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import FIRST_ORDER_DELAY
-from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.model import COEFFICIENTS, Model, first_order
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale
@@ -232,6 +232,10 @@ def _note(model: Model, axis: str, noise: float | None) -> str:
     if known.delay is None and f"{axis}.delay" not in model.covariance_names:
         notes.append(
             f"the delay is not known: the law looks ahead by none, its margins are for {DELAY[0]:g} +- {DELAY[1]:g} s"
+        )
+    if (delay := first_order(model, axis).predictor.delay) < 0:
+        notes.append(
+            f"the delay of the model is {delay:.2g} s, but no vehicle moves before its command: tuned for none"
         )
     if noise is not None and noise > RESTLESS:
         notes.append(f"noise of the poses moves the command by {100 * noise:.0f} % of full scale: filter the poses")
