@@ -60,6 +60,7 @@ def fit(
     progress: Progress | None = None,
     structure: str = AVERAGED,
     prior: bool = False,
+    near: Mapping[str, Estimate] | None = None,
 ) -> Fit:
     """Estimates the coefficients of the axes from one or several flights.
 
@@ -75,6 +76,7 @@ def fit(
             applies to x and y together and leaves every other axis at the first-order law with a delay. Methods other
             than `ml` accept `averaged` and that law only.
         prior: Whether to use the priors of the card; with the default structure or the first-order law only.
+        near: Estimates of a fit of a part of these data, by axis: their optima take the place of a search.
 
     Returns:
         The fit. A coefficient that is not identifiable has a status and no number.
@@ -98,12 +100,12 @@ def fit(
         flights, outliers = without_outliers(flights, lambda some: _estimates(some, wanted))
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
-    found = _found(flights, wanted, method, structure, priors, paper, report)
+    found = _found(flights, wanted, method, structure, priors, paper, report, near)
     tested = {axis: test for axis, e in found.estimates.items() if (test := braking(e)) and test.acts}
     parts = {axis: [commanded_parts(f, (axis,), test.late) for f in flights] for axis, test in tested.items()}
     for axis, some in parts.items():
         report(0.9, f"{axis} while it is commanded")
-        apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None)
+        apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None, near)
         found, parts[axis] = (
             (_with_axis(found, apart, axis), some) if _gain_known(apart, axis) else (found, list(flights))
         )
@@ -208,13 +210,14 @@ def _found(
     priors: Priors,
     paper: PaperFit,
     report: Progress,
+    near: Mapping[str, Estimate] | None,
 ) -> _Found:
     """Fits the requested axes, group by group."""
     groups, parts = groups_of(flights, wanted), list[_Found]()
 
     def found_of(group: Sequence[str]) -> _Found:
         if METHODS[method].likelihood:
-            return _likelihood_group(flights, group, priors, structure)
+            return _likelihood_group(flights, group, priors, structure, near)
         if METHODS[method].estimator:
             return _regression_group(flights, group, method)
         return _paper_group(flights, group, paper)
@@ -307,11 +310,17 @@ def _without_velocity(flight: Flight, axes: Sequence[str]) -> Flight:
     return replace(flight, velocity=used, notes=(*flight.notes, Note("velocity_unused", text, velocity.time.size)))
 
 
-def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str) -> _Found:
+def _likelihood_group(
+    flights: Sequence[Flight],
+    group: Sequence[str],
+    priors: Priors,
+    structure: str,
+    near: Mapping[str, Estimate] | None,
+) -> _Found:
     """The axes of one group by the likelihood, under the requested structure."""
-    estimates = estimate_group(flights, group, priors)
+    estimates = estimate_group(flights, group, priors, near)
     if structure == AVERAGED and estimates:
-        return _averaged(flights, group, estimates, priors)
+        return _averaged(flights, group, estimates, priors, near)
     axes, covariance = _group_axes(flights, group, estimates)
     if structure == STRUCTURE or not estimates:
         return _Found(axes, covariance, estimates)
@@ -319,10 +328,14 @@ def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: P
 
 
 def _averaged(
-    flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate], priors: Priors
+    flights: Sequence[Flight],
+    group: Sequence[str],
+    estimates: Mapping[str, Estimate],
+    priors: Priors,
+    near: Mapping[str, Estimate] | None,
 ) -> _Found:
     """The axes of a group under the default laws, with the first-order law beside them."""
-    known = families(serving_flights(flights, group), estimates, priors)
+    known = families(serving_flights(flights, group), estimates, priors, near)
     chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
         said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]
@@ -390,9 +403,11 @@ def _other_structures(
     return _Found(axes, covariance, found, plain={axis: (plain[axis], estimates[axis]) for axis in known})
 
 
-def estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors) -> dict[str, Estimate]:
+def estimate_group(
+    flights: Sequence[Flight], group: Sequence[str], priors: Priors, near: Mapping[str, Estimate] | None = None
+) -> dict[str, Estimate]:
     """Maximum-likelihood estimates of the axes of one group; empty where the flights are too short."""
-    serving = serving_flights(flights, group)
+    serving, near = serving_flights(flights, group), near or {}
     records = [rec for f in serving if (rec := record(f, group))]
     if sum(float(np.ptp(rec.block_time)) for rec in records) < LEAST_TIME:
         return {}
@@ -402,13 +417,13 @@ def estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Prio
     moving = [any(commands_axis(f, axis) for f in serving) and axis not in held for axis in group]
     if all(rec.held for rec in records):
         estimates = [
-            estimate_axis(serving, a, moves, gaussian_prior(priors, [a]))
+            estimate_axis(serving, a, moves, gaussian_prior(priors, [a]), near.get(a))
             for a, moves in zip(group, moving, strict=True)
         ]
         if len(group) == 2:
             estimates = couple_axes(records, estimates)
     else:
-        estimates = estimate_plane(serving, records, group, moving, gaussian_prior(priors, group))
+        estimates = estimate_plane(serving, records, group, moving, gaussian_prior(priors, group), near.get(group[0]))
     return dict(zip(group, estimates, strict=True))
 
 
