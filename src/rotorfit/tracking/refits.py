@@ -1,10 +1,10 @@
 """The estimate of one group of axes while the flight grows: batch refits, with single steps in between.
 
 A refit is `estimation.fitting.fit` on the flight so far: search, laws, profiles, judgement. It is made each time the
-excited time has grown by `REFIT`, and by `REFIT_SETTLED` while the last one stands, so that all refits together cost
-about as much as the last one. Between refits the estimate takes a step or two of Fisher scoring on the data so far; its
-intervals keep the shape that the refit gave them and shrink with the information. The last estimate of a flight is that
-of the batch.
+excited time has grown by `REFIT`, and by `REFIT_SETTLED` while the last one stands. Refits climb from the optima of the
+last one, and search anew when the excited time has grown by `SEARCH`. Between refits the estimate takes a step or two
+of Fisher scoring on the data so far; its intervals keep the shape that the refit gave them and shrink with the
+information. The last estimate of a flight is that of the batch.
 """
 
 from collections.abc import Mapping, Sequence
