@@ -117,7 +117,7 @@ def random_start(estimate: Estimate, rng: np.random.Generator, levels: bool) -> 
 def begun(estimate: Estimate, start: Point) -> tuple[float, Point]:
     """Objective and end of a short climb with levels held, gain and trims solved for first."""
     prior, free = estimate.optimum.prior, estimate.optimum.free.copy()
-    start = projected(estimate.records, start, estimate.place, prior)[1]
+    start = projected(estimate.records, [start], estimate.place, prior)[0][1]
     free[start.n :] = False
     top = maximise(estimate.records, start, free, tolerance=0.3, most=25, prior=prior)
     return top.score.objective, top.point

@@ -28,12 +28,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import fdtrc
 
 from rotorfit.core.frames import Array, Indices
 from rotorfit.tracking.scores import CHUNK, FADES, LASTS, WINDOWS, Scores
 
 UNLIKELY = 1e-3
 """A contrast is dropped early if its p-value exceeds this even under white innovations."""
+
+VISIBLE = 1.0
+"""Information about a direction above which a window determines it, in units of the expected changes."""
 
 OWN_GUSTS = 2.4
 """Shortest window that determines the strength of its own gusts [s]: in a shorter one a push may come from a gust or
@@ -98,8 +102,8 @@ class Contrast:
 
 def contrast(scores: Scores, since: float) -> Contrast | None:
     """The window from `since` [s] to the end, against the time before it, in all directions; None if undetermined."""
-    compared = _compared(scores, since)
-    return _along(scores, compared, np.eye(len(scores.names)), 1.0) if compared else None
+    compared = _compared(scores, [since])
+    return _along(scores, compared[0], np.eye(len(scores.names))) if compared else None
 
 
 @dataclass(frozen=True)
@@ -120,57 +124,99 @@ class _Compared:
     noise: float
 
 
-def _compared(scores: Scores, since: float) -> _Compared | None:
-    """The comparison under the strength of gusts in the window; None if either part is too short.
+def _compared(scores: Scores, begins: Sequence[float]) -> list[_Compared]:
+    """The comparison of each window, by its start [s], without those of which either part is too short.
 
-    A long window determines it: by its likelihood with coefficients, trims and start velocities of its own.
+    It is made under the strength of gusts in the window. A long window determines it: by its likelihood with
+    coefficients, trims and start velocities of its own.
     """
-    at = int(np.searchsorted(scores.time, since))
-    if at == scores.time.size or scores.chunks_before(at) < LEAST_CHUNKS:
-        return None
-    own, P, likelihoods = scores.rows[at:].T @ scores.rows[at:], len(scores.names), scores.gust_likelihood(since)
-    G_r, s_r, _ = _projected(scores.products - own, P)
-    short = bool(scores.time[-1] - since < OWN_GUSTS)
-    first = scores.gusts if short or scores.jolts.size else 0
-    last = scores.gusts if short else len(scores.under_gusts)
-    best, G_w, s_w, left = -np.inf, np.empty(0), np.empty(0), 0.0
-    for each, likely in list(zip((scores, *scores.under_gusts), likelihoods, strict=False))[first : last + 1]:
-        products = each.rows[at:].T @ each.rows[at:]
-        G, s, rest = _projected(products, P)
-        likelihood = float(likely) + 0.5 * float(products[0, 0] - rest)
-        if likelihood > best:
-            best, G_w, s_w, left = likelihood, G, s, rest
+    starts = [
+        (since, int(at))
+        for since, at in zip(begins, np.searchsorted(scores.time, begins), strict=True)
+        if at < scores.time.size and scores.chunks_before(int(at)) >= LEAST_CHUNKS
+    ]
+    if not starts:
+        return []
+    short = [bool(scores.time[-1] - since < OWN_GUSTS) for since, _ in starts]
+    now = scores.gusts
+    under = [
+        (place, strength)
+        for place, brief in enumerate(short)
+        for strength in range(now if brief or scores.jolts.size else 0, (now if brief else len(scores.under_gusts)) + 1)
+    ]
+    each = (scores, *scores.under_gusts)
+    P, products = len(scores.names), np.array([_product(each[strength].rows[starts[w][1] :]) for w, strength in under])
+    G, s, left = _projected(products, P)
+    likely = np.array([scores.gust_likelihood(since) for since, _ in starts])[tuple(np.transpose(under))]
+    likely = likely + 0.5 * (products[:, 0, 0] - left)
+    window, own = np.array([w for w, _ in under]), [_product(scores.rows[at:]) for _, at in starts]
+    best = [
+        int(places[np.argmax(likely[places])]) for w in range(len(starts)) for places in [np.flatnonzero(window == w)]
+    ]
+    G_w, s_w = G[best], s[best]
+    G_r, s_r, _ = _projected(scores.products - np.array(own), P)
     share = G_w @ _inverse(G_w + G_r, 1e-15)
-    u, M = s_w - share @ (s_w + s_r), G_w - share @ G_w
-    return _Compared(since, at, u, 0.5 * (M + M.T), max(left / max(scores.time.size - at - u.size, 1), 1.0))
+    u = s_w - (share @ (s_w + s_r)[:, :, None])[:, :, 0]
+    M = G_w - share @ G_w
+    return [
+        _Compared(
+            since, at, u[w], 0.5 * (M[w] + M[w].T), max(float(left[best[w]]) / max(scores.time.size - at - P, 1), 1.0)
+        )
+        for w, (since, at) in enumerate(starts)
+    ]
 
 
-def _along(scores: Scores, one: _Compared, basis: Array, unlikely: float) -> Contrast | None:
-    """The contrast within a subspace of the shifts, with a basis of shape (P, k).
+def _product(rows: Array) -> Array:
+    return np.asarray(rows.T @ rows)
 
-    None if nothing is visible there, or if the p-value exceeds `unlikely` even under white innovations.
+
+def _likely(scores: Scores, windows: Sequence[_Compared]) -> Iterator[tuple[_Compared, Array]]:
+    """The windows and bases that are worth a contrast: even under white innovations the others are not `UNLIKELY`.
+
+    The true variance is never below that of white innovations.
     """
+    if not windows:
+        return
+    every, *alone = _bases(scores.names)
+    u, M = np.array([one.u for one in windows]), np.array([one.M for one in windows])
+    noise = np.array([one.noise for one in windows])
+    chunks = np.array([scores.chunks_before(one.at) for one in windows])
+    value, vector = np.linalg.eigh(M)
+    keep = value > VISIBLE
+    along = (u[:, None, :] @ vector)[:, 0]
+    told = [(np.where(keep, along**2 / np.where(keep, value, 1.0), 0.0).sum(axis=1) / noise, keep.sum(axis=1))]
+    columns = np.hstack(alone)
+    value, along = ((M @ columns) * columns).sum(axis=1), u @ columns
+    told += zip(
+        (along**2 / np.maximum(value, VISIBLE) / noise[:, None]).T, (value > VISIBLE).astype(int).T, strict=True
+    )
+    rare = [_p_value(T, np.maximum(n, 1), chunks) <= UNLIKELY for T, n in told]
+    for w, one in enumerate(windows):
+        brief = scores.time[-1] - one.since < OWN_GUSTS
+        for b, basis in enumerate([every, *alone]):
+            if rare[b][w] and told[b][1][w] and not (brief and b == 0):
+                yield one, basis
+
+
+def _along(scores: Scores, one: _Compared, basis: Array) -> Contrast | None:
+    """The contrast within a subspace of the shifts, with a basis of shape (P, k); None if nothing is visible there."""
     inner = basis.T @ one.M @ basis
     value, vector = np.linalg.eigh(inner) if len(inner) > 1 else (inner[0], np.eye(1))
-    keep = value > 1.0
+    keep = value > VISIBLE
     if not keep.any():
         return None
     value, vector = value[keep], basis @ vector[:, keep]
     along, directions = one.u @ vector, value.size
-    chunks = scores.chunks_before(one.at)
-    if _p_value(float((along**2 / value).sum()) / one.noise, directions, chunks) > unlikely:
-        return None  # the true variance is never below that of white innovations
     excess, freedom = _excess(scores, one.at, vector)
     variance = one.noise * excess + value * (scores.doubt**2 @ vector**2)
     statistic = float((along**2 / (value * variance)).sum())
-    p_value = _p_value(statistic, directions, freedom)
     return Contrast(
         one.since,
         vector @ (along / value),
         (vector * (value / variance)) @ vector.T,
         statistic,
         directions,
-        p_value,
+        float(_p_value(statistic, directions, freedom)),
         freedom,
     )
 
@@ -196,32 +242,36 @@ def _spread(sums: Array, expected: Array) -> tuple[Array, float]:
     return square / np.maximum(expected, 1e-300), float(min(np.min(told, initial=np.inf), len(sums)))
 
 
-def _p_value(statistic: float, directions: int, chunks: float) -> float:
+def _p_value(statistic: Array | float, directions: Array | int, chunks: Array | float) -> Array:
     """p-value of Hotelling's T squared, with the number of chunks behind its variance as degrees of freedom."""
-    from scipy.special import fdtrc
-
-    return float(fdtrc(directions, max(chunks - directions, 1), statistic / directions))
+    return np.asarray(fdtrc(directions, np.maximum(chunks - directions, 1), statistic / directions))
 
 
-def _projected(products: Array, P: int) -> tuple[Array, Array, float]:
-    """Information and score of a window after projecting out its trims and starts, and the residual sum of squares.
+def _projected(products: Array, P: int) -> tuple[Array, Array, Array]:
+    """Information and score of windows after projecting out their trims and starts, and residual sums of squares.
 
     Args:
-        products: Products of its rows, see `Scores.rows`, shape (1 + P + Q, 1 + P + Q).
+        products: Products of their rows, see `Scores.rows`, shape (W, 1 + P + Q, 1 + P + Q).
         P: Number of tested parameters.
     """
-    free, tested = slice(1 + P, None), slice(1, 1 + P)
-    inverse = _inverse(products[free, free], 1e-10)
-    left = products[: 1 + P, : 1 + P] - products[: 1 + P, free] @ inverse @ products[free, : 1 + P]
-    G, s = left[tested, tested], left[tested, 0]
-    return G, s, max(float(left[0, 0]) - float(s @ _inverse(G, 1e-10) @ s), 0.0)
+    inverse = _inverse(products[:, 1 + P :, 1 + P :], 1e-10)
+    across = products[:, : 1 + P, 1 + P :]
+    left = products[:, : 1 + P, : 1 + P] - across @ inverse @ across.transpose(0, 2, 1)
+    G, s = left[:, 1:, 1:], left[:, 1:, 0]
+    explained = (s[:, None] @ _inverse(G, 1e-10) @ s[:, :, None])[:, 0, 0]
+    return G, s, np.maximum(left[:, 0, 0] - explained, 0.0)
 
 
 def _inverse(products: Array, least: float) -> Array:
-    """Pseudo-inverse of a symmetric matrix, cut off at a share of its largest eigenvalue; ten times as fast as pinv."""
+    """Pseudo-inverses of symmetric matrices, cut off at a share of the largest eigenvalue; ten times as fast as pinv.
+
+    Args:
+        products: The matrices, shape (W, n, n).
+        least: The share.
+    """
     value, vector = np.linalg.eigh(products)
-    keep = value > least * max(value[-1], 0.0) if value.size else np.zeros(0, bool)
-    return np.asarray((vector[:, keep] / value[keep]) @ vector[:, keep].T)
+    keep = value > least * np.maximum(value.max(axis=1, keepdims=True, initial=0.0), 0.0)
+    return np.asarray((vector * (keep / np.where(keep, value, 1.0))[:, None]) @ vector.transpose(0, 2, 1))
 
 
 def looked_for(scores: Scores) -> list[Contrast]:
@@ -232,18 +282,11 @@ def looked_for(scores: Scores) -> list[Contrast]:
 def _windows(scores: Scores, lengths: Sequence[float]) -> list[_Compared]:
     """The comparisons of the windows of some lengths [s], of at most half the regime."""
     now, begin = float(scores.time[-1]), float(scores.time[0])
-    windows = (now - w for w in lengths if w < 0.5 * (now - begin))
-    return [one for since in windows if (one := _compared(scores, since))]
+    return _compared(scores, [now - w for w in lengths if w < 0.5 * (now - begin)])
 
 
 def _looked_for(scores: Scores, windows: Sequence[_Compared], jolts: "_Jolts | None") -> list[Contrast]:
-    now, bases = float(scores.time[-1]), _bases(scores.names)
-    found = [
-        each
-        for one in windows
-        for basis in (bases[1:] if now - one.since < OWN_GUSTS else bases)
-        if (each := _along(scores, one, basis, UNLIKELY))
-    ]
+    found = [each for one, basis in _likely(scores, windows) if (each := _along(scores, one, basis))]
     return [*found, *_jolted([scores], [jolts]).values()]
 
 
@@ -308,19 +351,30 @@ def _delayed(
 ) -> Iterator[tuple[tuple[str, ...], Contrast]]:
     """For each window, the step of all delays by the same time, as a contrast of the likelihood that shows it best."""
     for since in dict.fromkeys(one.since for each in windows.values() for one in each):
-        found = [
-            (scores.names, each)
+        there = [
+            (scores, one, _alike(scores.names, "delay"))
             for scores in scored
             for one in windows[scores.names]
-            if one.since == since and (each := _along(scores, one, _alike(scores.names, "delay"), 1.0))
+            if one.since == since
         ]
+        most = sum(_squared(one, along) for _, one, along in there)  # by the Cauchy-Schwarz inequality
+        if not there or _p_value(most, 1, min(scores.chunks_before(one.at) for scores, one, _ in there)) > UNLIKELY:
+            continue
+        found = [(scores.names, each) for scores, one, along in there if (each := _along(scores, one, along))]
         if len(found) < 2:
             continue
         precision = np.array([each.precision.max() for _, each in found])
         step = np.array([each.shift[np.argmax(np.abs(each.shift))] for _, each in found])
         statistic = float((precision @ step) ** 2 / precision.sum())
+        p_value = float(_p_value(statistic, 1, min(each.freedom for _, each in found)))
         names, best = max(found, key=lambda one: one[1].statistic)
-        yield names, replace(best, p_value=_p_value(statistic, 1, min(each.freedom for _, each in found)))
+        yield names, replace(best, p_value=p_value)
+
+
+def _squared(one: _Compared, along: Array) -> float:
+    """T along one direction, shape (P, 1), over the variance of white innovations: the true one is never below."""
+    value = float((along.T @ one.M @ along)[0, 0])
+    return float((one.u @ along)[0]) ** 2 / value / one.noise if value > VISIBLE else 0.0
 
 
 def _instants(scores: Scores) -> int:
@@ -386,7 +440,7 @@ def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tu
     best = int(np.argmax(told))
     if gain[:, best].sum() < sum(one.wrong for one in found):
         return {}
-    p_value = _p_value(float(told[best]), len(found), min(one.freedom for one in found))
+    p_value = float(_p_value(float(told[best]), len(found), min(one.freedom for one in found)))
     out = {}
     for scores, one in zip(scored, found, strict=True):
         size, power = float(one.product[best] / one.power[best]), float(one.power[best]) / one.variance
@@ -400,11 +454,10 @@ def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tu
 
 def _matched(innovation: Array, h: Array, at: Indices) -> Array:
     """Inner products of a shape with the innovations from each row on, and with itself over the rows there, (2, n)."""
-    out = np.empty((2, at.size))
-    for n, i in enumerate(at):
-        part = innovation[i : i + h.size]
-        out[:, n] = part @ h[: part.size], h[: part.size] @ h[: part.size]
-    return out
+    first = int(at.min())
+    later = np.concatenate([innovation[first : int(at.max()) + h.size], np.zeros(h.size)])
+    rows = np.minimum(innovation.size - at, h.size)
+    return np.array([np.correlate(later, h, "valid")[at - first], np.cumsum(h**2)[rows - 1]])
 
 
 @functools.cache
@@ -430,8 +483,8 @@ def calm(scores: Scores, since: float, p_value: float) -> bool:
     time, e = scores.time, scores.innovation
     usual = max(float(np.mean(e[time < since - BEFORE] ** 2)) if time[0] < since - BEFORE else 1.0, 1.0)
     before = e[(time >= since - BEFORE) & (time < since)]
-    after, compared = e[time > since + FADES], _compared(scores, since)
-    left = min(float(np.mean(after**2)) if after.size else np.inf, compared.noise if compared else np.inf)
+    after, compared = e[time > since + FADES], _compared(scores, [since])
+    left = min(float(np.mean(after**2)) if after.size else np.inf, compared[0].noise if compared else np.inf)
     return (
         before.size > 0
         and float(np.mean(before**2)) < (1 + CALM_BEFORE * np.sqrt(2 / before.size)) * usual

@@ -134,10 +134,14 @@ class Scores:
         ended = np.vstack([sums[:last], self._each[self._chunks[last] : at].sum(axis=0)])
         return ended, products - late.T @ late
 
+    @cached_property
+    def _later(self) -> Array:
+        """Sums of `density` from each row on, shape (N, 1 + L)."""
+        return np.asarray(np.cumsum(self.density[::-1], axis=0)[::-1])
+
     def gust_likelihood(self, since: float) -> Array:
         """Log-likelihood of each strength of gusts from `since` [s] on, over at least `LEAST_GUST_TIME`, (1 + L,)."""
-        late = int(np.searchsorted(self.time, min(since, self.time[-1] - LEAST_GUST_TIME)))
-        return np.asarray(self.density[late:].sum(axis=0))
+        return self._later[int(np.searchsorted(self.time, min(since, self.time[-1] - LEAST_GUST_TIME)))]  # type: ignore[no-any-return]
 
 
 def scores_of(

@@ -20,7 +20,7 @@ from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.estimation.likelihood.axis_estimate import free_of
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
-from rotorfit.estimation.likelihood.likelihood import inverted, score
+from rotorfit.estimation.likelihood.likelihood import inverted, linear_scores
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
 from rotorfit.estimation.likelihood.stretches import stretches
@@ -52,6 +52,9 @@ KEPT = 2
 REJECTED = 10.0
 """... those whose objective on the thinned records is below the best by this or more."""
 
+TOGETHER = 16
+"""Nodes whose motion is filtered in one pass."""
+
 SHORT = 12
 """Largest number of passes of such a climb."""
 
@@ -76,7 +79,7 @@ def law_starts(
     levels_held[-point.levels.size :] = False
     sign = np.sign(point.gain[k])
     nodes = sorted(
-        (projected(coarse, _at(point, k, structure, node), k, prior) for node in _grid(structure)),
+        projected(coarse, [_at(point, k, structure, node) for node in _grid(structure)], k, prior),
         key=lambda one: -one[0],
     )
     every = [there for _, there in nodes]
@@ -129,14 +132,28 @@ def _at(point: Point, k: int, structure: Structure, node: Sequence[float]) -> Po
     return replace(point, gain=gain, log_damping=log_damping, delay=delays, extra=extra, structures=tuple(laws))
 
 
-def projected(records: Sequence[Record], point: Point, k: int, prior: GaussianPrior | None) -> tuple[float, Point]:
-    """Largest objective over the gain of axis k, trims and start velocities, and the point at which it is attained."""
-    here = with_prior(score(records, point), point, prior)
-    linear = np.zeros(point.flat().size, bool)
+def projected(
+    records: Sequence[Record], points: Sequence[Point], k: int, prior: GaussianPrior | None
+) -> list[tuple[float, Point]]:
+    """Largest objective over the gain of axis k, trims and start velocities, and the point at which it is attained.
+
+    Args:
+        records: The flights.
+        points: The points, equal in shape and levels.
+        k: Index of the axis.
+        prior: Prior of the parameters of the laws.
+    """
+    linear, out = np.zeros(points[0].flat().size, bool), []
     linear[k] = True
-    linear[point.coefficients : point.n] = True
-    step = inverted(here.information, linear) @ here.gradient
-    return here.objective + 0.5 * float(step @ here.gradient), point.with_flat(point.flat() + step)
+    linear[points[0].coefficients : points[0].n] = True
+    for first in range(0, len(points), TOGETHER):
+        some = points[first : first + TOGETHER]
+        for point, there in zip(some, linear_scores(records, some, k), strict=True):
+            here = with_prior(there, point, prior)
+            step = inverted(here.information, linear) @ here.gradient
+            gain = 0.5 * float(step @ here.gradient)
+            out.append((here.objective + gain, point.with_flat(point.flat() + step)))
+    return out
 
 
 def _spread(points: Iterable[Point], k: int, most: int) -> list[Point]:

@@ -260,6 +260,43 @@ def score(
     )
 
 
+def linear_scores(records: Sequence[Record], points: Sequence[Point], k: int) -> list[LikelihoodScore]:
+    """The scores at points with the same levels, in one pass of the filter over the flights.
+
+    Of gradient and information only the part of the gain of axis k, the trims and the start velocities is computed: the
+    motion is linear in them.
+
+    Args:
+        records: The flights.
+        points: The parameters, equal in shape and levels.
+        k: Index of the axis.
+    """
+    first, N = points[0], len(points)
+    K, n, L = first.gain.size, first.n, first.levels.size
+    information, gradient, log_likelihood = np.zeros((N, n + L, n + L)), np.zeros((N, n + L)), np.zeros(N)
+    for j, (rec, at) in enumerate(_flights(records)):
+        columns = []
+        for point in points:
+            mean, sensitivity = response(rec, point, j, point.start[at])
+            own = [(rec.position - mean)[:, None], sensitivity[:, k : k + 1], sensitivity[:, -2 * K :]]
+            columns += [part.transpose(0, 2, 1) for part in own]
+        places = [where[[k, *range(-2 * K, 0)]] for where in _places(rec, first, j, at)]
+        for piece, rows, _, variance in _filtered(rec, columns, first.levels[None], 1):
+            each = rows.reshape(-1, K, N, 2 + 2 * K).transpose(2, 0, 1, 3)
+            for where, part in _parts(rec, places, piece):
+                flat = each[:, part].reshape(N, -1, 2 + 2 * K)
+                product = flat.transpose(0, 2, 1) @ flat
+                information[:, where[:, None], where] += product[:, 1:, 1:]
+                gradient[:, where] += product[:, 1:, 0]
+                log_likelihood -= 0.5 * product[:, 0, 0]
+            log_likelihood -= 0.5 * float(np.log(2 * np.pi * variance).sum())
+    none = _Slopes.none(n, 0)
+    return [
+        LikelihoodScore(float(value), 0.0, slope, square, none.slopes, none.cross, (), None)
+        for value, slope, square in zip(log_likelihood, gradient, information, strict=True)
+    ]
+
+
 def _gram(rows: Array) -> Array:
     """Products of the columns of rows (b, K, C) with each other, shape (C, C)."""
     flat = rows.reshape(-1, rows.shape[2])

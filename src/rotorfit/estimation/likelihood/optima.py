@@ -90,7 +90,22 @@ def _start_velocity(rec: Record) -> Array:
     return (rec.position[last] - rec.position[first]) / elapsed[:, None]  # type: ignore[no-any-return]
 
 
-def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> tuple[CandidateOptimum, ...]:
+def moved_to(records: Sequence[Record], point: Point) -> Point:
+    """Laws and levels of a point found on other data, with zero trims and the start velocities of these records."""
+    whole = start_point(records, 0.0, 1.0, point.levels)
+    return replace(
+        whole,
+        gain=point.gain,
+        log_damping=point.log_damping,
+        delay=point.delay,
+        structures=point.structures,
+        extra=point.extra,
+    )
+
+
+def search(
+    records: Sequence[Record], flights: Sequence[Flight], free: Mask, known: Sequence[Point] = ()
+) -> tuple[CandidateOptimum, ...]:
     """Climbs from every start and collects the distinct optima, the selected one first.
 
     The climb from the first start also estimates the disturbance levels; the others start with those levels held, and
@@ -100,8 +115,11 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
         records: The flights as input of the likelihood.
         flights: The same flights, for the predictions by which optima are judged.
         free: True for the free parameters, shape (n + L K,).
+        known: Optima on a part of the data; if there are any, only they are climbed, with free levels.
     """
     K = len(records[0].axes)
+    if known:
+        return _judged(records, flights, free, _climbed_again(records, free, known))
     levels = np.tile(start_levels(measured_by(records)), (K, 1))
     held_levels = free.copy()
     held_levels[-levels.size :] = False
@@ -124,6 +142,30 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
             starts[same] += 1
         if number == 0:
             levels = climbed.point.levels
+    return _judged(records, flights, free, list(zip(optima, starts, strict=True)))
+
+
+def _climbed_again(records: Sequence[Record], free: Mask, known: Sequence[Point]) -> list[tuple[Optimum, int]]:
+    """The distinct optima that are climbed from known ones, and from how many each."""
+    optima: list[Optimum] = []
+    starts: list[int] = []
+    for point in known:
+        start = without_gain(moved_to(records, point), ~free[: point.gain.size])
+        climbed = maximise(records, start, free, tolerance=0.3, most=FINISH)
+        same = _same(climbed.point, [optimum.point for optimum in optima])
+        if same is None:
+            optima.append(climbed)
+            starts.append(1)
+        else:
+            starts[same] += 1
+    return list(zip(optima, starts, strict=True))
+
+
+def _judged(
+    records: Sequence[Record], flights: Sequence[Flight], free: Mask, climbed: Sequence[tuple[Optimum, int]]
+) -> tuple[CandidateOptimum, ...]:
+    """Optima, each with the number of its starts, as candidates, the selected one first."""
+    optima, starts = [optimum for optimum, _ in climbed], [number for _, number in climbed]
     predictions = [prediction_error(flights, records[0].axes, optimum) for optimum in optima]
     found = [CandidateOptimum(o, n, *p) for o, n, p in zip(optima, starts, predictions, strict=True)]
     return _ranked([*found, *_crossed(records, flights, free, found)])
