@@ -25,7 +25,7 @@ from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 pytestmark = pytest.mark.flights
 
 LAW = "first_order_delay"
-QUANTITIES = ["input", "damping", "delay", "lag", "steady_gain", "total_lag"]
+QUANTITIES = ["input", "damping", "delay", "lag", "zero", "steady_gain", "total_lag"]
 
 
 @pytest.fixture(scope="module")

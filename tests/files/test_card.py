@@ -333,6 +333,19 @@ def test_what_is_not_there_is_named_with_the_nearest(source: str, says: str) -> 
     assert "flight.log" in str(error.value)
 
 
+@pytest.mark.parametrize("source", ["/pose/rigid:x", "/rigid/pose:x"])
+def test_a_card_that_does_not_fit_is_answered_with_how_to_find_or_draft_another(source: str) -> None:
+    log = log_of(**{"/rigid/pose": {"position.x": np.zeros(5)}, "/cmd": {"x": [0.0]}})
+
+    with pytest.raises(CardError) as error:
+        column(log, Channel(source), 5)
+
+    assert one_line(error).endswith(
+        "(`rotorfit info flight.log` lists what is there and names the built-in card that fits; "
+        "`rotorfit info flight.log --draft-card FILE` drafts one)"
+    )
+
+
 def joystick() -> dict:
     names = ("time", "cmd_linx", "cmd_liny", "cmd_linz", "cmd_angz", "x", "y", "z", "yaw")
     return {name: np.zeros(5) for name in names}

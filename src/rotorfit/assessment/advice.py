@@ -21,6 +21,7 @@ from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.command_response import TURNING
 from rotorfit.diagnosis.doctor import SHORT_TIME
 from rotorfit.diagnosis.frame_checks import OVER
+from rotorfit.diagnosis.pose_checks import FROZEN_AXIS
 from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
@@ -107,7 +108,8 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         fit: The fit with its flights.
         before: Findings of the single flights; those that the fit supersedes are left out.
     """
-    found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
+    told = [finding for finding in before if not _settled(finding, fit)]
+    found = list(told)
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
     overturned = any(finding.code == OVERTURNED for finding in found)
@@ -119,8 +121,8 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         found += _event_findings(name, axis, flights)
         if axis.predictor and name not in wrong:
             found += () if overturned and name in OVER else _sign_findings(fit, name, axis)
-            told = _coefficient_findings(name, axis, flights)
-            found += (one for one in told if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
+            known = _coefficient_findings(name, axis, flights)
+            found += (one for one in known if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
             found += law_findings(name, axis)
@@ -136,7 +138,9 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
     found += disagreement_findings(fit)
-    return by_gravity(found)
+    still = {finding.axis for finding in told if finding.code == FROZEN_AXIS}
+    still |= {"x", "y"} if still & {"x", "y"} else set()  # the heading turns one into both
+    return by_gravity(one for one in found if one in told or one.axis not in still)  # its remedies would be wrong
 
 
 def _settled(finding: Finding, fit: Fit) -> bool:

@@ -40,7 +40,7 @@ UNMOVED = "not excited: no command moves it"
 Cause = Literal["payload", "thrust", "limits", "delay", "pose_jumped", "pose_frozen", "another_vehicle", "other"]
 """Probable cause of a change; see `docs/track.md`."""
 
-QUANTITIES = ("input", "damping", "delay", "lag", "steady_gain", "total_lag")
+QUANTITIES = ("input", "damping", "delay", "lag", "zero", "steady_gain", "total_lag")
 """The quantities of an axis, in the order of the lines that `rotorfit track --jsonl` prints."""
 
 
@@ -62,8 +62,8 @@ class TrackedAxis:
         ahead: Velocity one second later, if the last command holds [m/s, rad/s]; None where unknown.
         ahead_ci95: Its 95 % band.
         earlier: Name of the earlier model that the values are from; empty where they are from this flight.
-        against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`
-            and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values are
+        against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`,
+            `zero` and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values are
             from this flight.
     """
 
@@ -195,7 +195,7 @@ class Alarm:
         cause: Probable cause.
         since: 95 % interval of the time of the change [s].
         change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay` and `trim`, and where the
-            vehicle is another one for `lag` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty until it is
+            vehicle is another one for `lag`, `zero` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty until it is
             revised.
         confidence: Share of the evidence for this cause among all that were compared.
         p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
@@ -234,7 +234,7 @@ class Alarm:
         axis, what = name.split(".")
         if what == "trim":
             return f"{POSE_UNITS[axis]}/s^2"
-        lags = ("lag", "total_lag") if self.cause == "another_vehicle" else ()
+        lags = ("lag", "zero", "total_lag") if self.cause == "another_vehicle" else ()
         return "s" if what in ("delay", *lags) else ""
 
     def to_mapping(self) -> dict[str, Any]:
