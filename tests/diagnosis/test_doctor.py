@@ -594,8 +594,11 @@ def test_coefficients_change(tmp_path: Path) -> None:
     log = Csv(flown(steps(("z",), seed=2), 60.0))
     log.command[log.command_time > 30] /= 1.3
 
-    found = said("fit", *log.write(tmp_path))["coefficients_change", "z"]
+    told = said("fit", *log.write(tmp_path))
+    found = told["coefficients_change", "z"]
     assert found["severity"] == "warning"
+    tracked = f"`rotorfit track {tmp_path / 'flight.csv'}` finds when it changed, and what"
+    assert {one["remedy"].partition(";")[0] for (_, axis), one in told.items() if axis == "z"} == {tracked}
     first, _, _ = (numbers(part) for part in re.findall(r"s: (.*?) s[;)]", found["evidence"])[:1] * 3)
     gains = [float(gain) for gain in re.findall(r"\d s: ([\d.]+),", found["evidence"])]
     assert first[0] == gains[0] == pytest.approx(GAMMA_B[4], rel=0.1)

@@ -4,6 +4,7 @@ Also why a vehicle seems to respond before its command: clocks that disagree, or
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,17 +120,19 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
         found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
         found += _event_findings(name, axis, flights)
+        changed = list(changed_coefficients(fit, name)) if name not in wrong else []
         if axis.predictor and name not in wrong:
             found += () if overturned and name in OVER else _sign_findings(fit, name, axis)
             known = _coefficient_findings(name, axis, flights)
             found += (one for one in known if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
-            found += law_findings(name, axis)
+            laws = law_findings(name, axis)  # no other law explains a vehicle that changed
+            found += (replace(one, remedy=changed[0].remedy) if changed else one for one in laws)
         if axis.predictor and name in fit.estimates and name not in wrong:
             found += _slow_findings(name, k, axis, flights)
             found += _feedback_findings(name, fit.estimates[name])
-            found += changed_coefficients(fit, name)
+            found += changed
             if name in fit.braking:
                 whole = sum(flight.duration for flight in fit.flights)
                 found += findings_of_braking(name, *fit.braking[name], whole)

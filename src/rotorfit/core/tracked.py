@@ -65,6 +65,7 @@ class TrackedAxis:
         against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`,
             `zero` and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values are
             from this flight.
+        watched: Time of the first test that could have raised an alarm about it [s]; None before.
     """
 
     knowledge: Knowledge = "learning"
@@ -81,6 +82,7 @@ class TrackedAxis:
     ahead_ci95: Interval = (None, None)
     earlier: str = ""
     against: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    watched: float | None = None
 
     def to_mapping(self) -> dict[str, Any]:
         """The state as a line of JSON holds it."""
@@ -98,6 +100,7 @@ class TrackedAxis:
             "velocity_in_1_s_ci95": list(self.ahead_ci95),
             "from": self.earlier or None,
             "against_earlier": {name: list(three) for name, three in self.against.items()},
+            "watched_from": self.watched,
         }
 
 
@@ -375,6 +378,15 @@ class Track:
     def alarms(self) -> tuple[Alarm, ...]:
         """All alarms, in order, each as it was revised last."""
         return revised(alarm for state in self.states for alarm in state.alarms)
+
+    @property
+    def watch(self) -> str:
+        """From when on each axis was tested for changes, in words; empty for a track without axes."""
+        axes = self.states[-1].axes if self.states else {}
+        since = {axis: one.watched for axis, one in axes.items()}
+        groups = {time: ", ".join(axis for axis, other in since.items() if other == time) for time in since.values()}
+        told = [f"{names} {'never' if t is None else f'from {t:.1f} s on'}" for t, names in groups.items()]
+        return f"Watched for changes: {'; '.join(told)}" if told else ""
 
     @property
     def axes(self) -> tuple[str, ...]:

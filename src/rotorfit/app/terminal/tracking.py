@@ -129,6 +129,8 @@ def track_view(result: Track) -> View:
     yield from bullets(
         f"{name} against the earlier model: {_apart(axis)}" for name, axis in last.axes.items() if axis.against
     )
+    if result.watch:
+        yield indented(result.watch, 0)
     if last.air:
         yield indented(_wind(last.air), 0)
     if len(result.regimes) > 1:
