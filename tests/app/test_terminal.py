@@ -11,6 +11,7 @@ from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.app.terminal.tables import interval_text, number_text
 from rotorfit.app.terminal.tracking import alarm_view, news, track_view
+from rotorfit.core.frames import AXES
 from rotorfit.core.model import Combination, Mode, Model
 from rotorfit.core.tracked import Air, Alarm, Track, Tracked, TrackedAxis
 
@@ -119,6 +120,23 @@ def test_still_air_blows_nowhere(capsys: pytest.CaptureFixture[str], air: Air, s
 
     assert lines.endswith(said)
     assert "per command of 1" not in lines
+
+
+def test_the_end_of_a_track_says_from_when_on_each_axis_was_watched(capsys: pytest.CaptureFixture[str]) -> None:
+    axes = {name: TrackedAxis(watched=time) for name, time in zip(AXES, (9.0, 9.0, 12.3, None), strict=True)}
+    show(track_view(Track((Tracked(20.0, axes),), ())))
+
+    assert "Watched for changes: x, y from 9.0 s on; z from 12.3 s on; yaw never\n" in capsys.readouterr().out
+
+
+def test_the_zero_of_a_law_stands_beside_the_lag_that_it_shortens(capsys: pytest.CaptureFixture[str]) -> None:
+    values = {"damping": 2.0, "delay": 0.1, "lag": 0.2, "zero": 0.3, "total_lag": 0.3}
+    one = TrackedAxis("known", "known", values, dict.fromkeys(values, (0.0, 1.0)), structure="second_order_zero")
+    show(track_view(Track((Tracked(12.0, {"x": one}),), ())))
+    rows = [line.split()[-6:-3] for line in capsys.readouterr().out.splitlines() if " s " in line]
+
+    assert ["zero", "0.30", "s"] in rows
+    assert one.to_mapping()["zero"] == 0.3
 
 
 def test_nothing_is_less_than_zero() -> None:

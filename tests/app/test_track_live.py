@@ -83,7 +83,8 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
 
 def test_the_page_of_a_link_has_every_second_of_its_flight(tmp_path: Path) -> None:
     page = tmp_path / "track.html"
-    result = run("--link", "sim", "--for", "10", "--report", str(page), *QUICK)
+    result = run("--link", "sim,mass=1.3@40,wind=1", "--for", "10", "--report", str(page), *QUICK)
+    assert "ended at 10 s, before the change mass=1.3@40: the flight is without it" in result.stderr
 
     assert result.exit_code == 0, result.output
     assert "fitting the flight once more" in result.stderr

@@ -25,7 +25,7 @@ from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 pytestmark = pytest.mark.flights
 
 LAW = "first_order_delay"
-QUANTITIES = ["input", "damping", "delay", "lag", "steady_gain", "total_lag"]
+QUANTITIES = ["input", "damping", "delay", "lag", "zero", "steady_gain", "total_lag"]
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_a_state_has_the_promised_keys_and_null_where_nothing_is_known(told: lis
         assert list(line)[:4] == ["type", "time", "regime", "axes"]
         assert list(line["axes"]) == list(AXES)
         for axis in line["axes"].values():
-            assert list(axis)[:8] == ["state", *QUANTITIES, "ci95"]
+            assert list(axis)[:9] == ["state", *QUANTITIES, "ci95"]
             assert {"wind", "wind_ci95"} <= set(axis)
             assert isinstance(axis["state"], str)
             assert all(axis[name] is None or isinstance(axis[name], float) for name in [*QUANTITIES, "wind"])
@@ -74,6 +74,7 @@ def test_a_state_has_the_promised_keys_and_null_where_nothing_is_known(told: lis
                 if axis[name] is not None and None not in axis["ci95"][name]:
                     assert axis["ci95"][name][0] <= axis[name] <= axis["ci95"][name][1]
     last = told[-2]["axes"]
+    assert last["x"]["watched_from"] is None  # 12 s are too short for an alarm
     assert last["x"]["state"] == "known"
     assert last["x"]["lag"] is None  # this law has none
     assert last["yaw"]["state"].startswith("not excited")

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from clean_flights import clean_flights
 from flights import CARD as DEMO_CARD
 from flights import steps
-from logs import CARD, Csv, ran, said
+from logs import CARD, POSE, Csv, ran, said
 from rotorfit.app.cli import main
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.core.frames import Array, world_from_heading
@@ -259,6 +259,38 @@ def test_pose_jumps(tmp_path: Path) -> None:
     assert (count, back, stay) == (5, 2, 1)
     assert size == pytest.approx(12, abs=0.5)
     assert first == pytest.approx(10, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("axis", "start", "end", "remedy"),
+    [
+        ("z", 0.0, 99.0, "check that the card names the right column for z of [pose]; if so, look for a sensor"),
+        ("z", 20.0, 99.0, "fit without that stretch, --span :20.0; look for"),
+        ("z", 0.0, 20.0, "fit without that stretch, --span 20.0:; look for"),
+        ("x", 20.0, 99.0, "fit without that stretch, --span :20.0; look for"),
+    ],
+)
+def test_a_coordinate_that_is_frozen_while_commanded_is_told_and_not_what_follows(
+    tmp_path: Path, axis: str, start: float, end: float, remedy: str
+) -> None:
+    log = Csv(flown())
+    still = (log.pose_time >= start) & (log.pose_time < end)
+    log.pose[still, POSE.index(axis)] = log.pose[still, POSE.index(axis)][0]
+    words = log.write(tmp_path)
+
+    for found in (said("info", *words), said("fit", *words, *LAW)):
+        assert set(found) == {("pose_frozen", axis)}
+        (told,) = found.values()
+        assert told["remedy"].startswith(remedy)
+        assert numbers(told["evidence"])[-1] == pytest.approx(min(end, 40.0) - start, abs=0.1)
+
+
+def test_a_height_that_was_not_measured_or_is_not_commanded_is_not_frozen(tmp_path: Path) -> None:
+    unmeasured, uncommanded = Csv(flown()), Csv(flown(steps(("x", "y"), seed=2)))
+    uncommanded.pose[:, 2] = 1.5
+
+    assert said("info", *unmeasured.write(tmp_path, CARD.replace('z = "z"', "z = 1.5"))).keys() == set()
+    assert said("info", *uncommanded.write(tmp_path)).keys() == set()
 
 
 def test_leaps_of_yaw_are_those_of_a_swapped_marker(tmp_path: Path) -> None:
@@ -562,8 +594,11 @@ def test_coefficients_change(tmp_path: Path) -> None:
     log = Csv(flown(steps(("z",), seed=2), 60.0))
     log.command[log.command_time > 30] /= 1.3
 
-    found = said("fit", *log.write(tmp_path))["coefficients_change", "z"]
+    told = said("fit", *log.write(tmp_path))
+    found = told["coefficients_change", "z"]
     assert found["severity"] == "warning"
+    tracked = f"`rotorfit track {tmp_path / 'flight.csv'}` finds when it changed, and what"
+    assert {one["remedy"].partition(";")[0] for (_, axis), one in told.items() if axis == "z"} == {tracked}
     first, _, _ = (numbers(part) for part in re.findall(r"s: (.*?) s[;)]", found["evidence"])[:1] * 3)
     gains = [float(gain) for gain in re.findall(r"\d s: ([\d.]+),", found["evidence"])]
     assert first[0] == gains[0] == pytest.approx(GAMMA_B[4], rel=0.1)

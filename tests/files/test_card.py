@@ -12,6 +12,7 @@ from rotorfit.core.errors import CardError
 from rotorfit.core.log import Log, Table
 from rotorfit.diagnosis.card_choice import card_of
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
+from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import column, fitting_cards
 
 TEXT = """
@@ -181,6 +182,10 @@ MISSING = object()
         (("frame",), "enu", "nearest: 'ENU'"),
         (("name",), 3, "text"),
         (("window", "when"), 1, "not the constant 1"),
+        (("command", "z"), "/cmd:linear.x", "[command]: x and z both read '/cmd:linear.x'; each needs a column"),
+        (("command", "z"), "/cmd:header.stamp", "[command]: time and z both read"),
+        (("pose", "y"), {"from": "/pose:x", "scale": -1}, "[pose]: x and y both read '/pose:x'"),
+        (("velocity", "y"), "/v:x", "[velocity]: x and y both read"),
         (("over",), "x\n" * 1000, "over: must be a list of names, not 'x\\nx"),
     ],
 )
@@ -199,6 +204,23 @@ def test_what_is_missing_or_wrong_is_refused_in_one_line(place: tuple, value: ob
 
     assert says in one_line(error)
     assert "my.toml" in str(error.value)
+
+
+def test_a_column_that_is_command_and_pose_is_refused_when_the_log_is_read() -> None:
+    """In two files both may be called x; in one table they are the same column."""
+    card = card_from_mapping(
+        {
+            "command": {"time": "t", "x": "x", "y": "uy"},
+            "pose": {"time": "t", "x": "x", "y": "y", "z": 1, "yaw": 0},
+        },
+        "mine",
+    )
+    log = log_of(all={name: np.arange(100.0) for name in ("t", "x", "y", "uy")})
+
+    with pytest.raises(CardError) as error:
+        flight_from_log(log, card)
+
+    assert one_line(error) == "flight.log: [command] x and [pose] x both read 'x'; each needs a column of its own"
 
 
 def test_a_card_that_commands_no_axis_is_refused() -> None:
@@ -309,6 +331,19 @@ def test_what_is_not_there_is_named_with_the_nearest(source: str, says: str) -> 
 
     assert says in one_line(error)
     assert "flight.log" in str(error.value)
+
+
+@pytest.mark.parametrize("source", ["/pose/rigid:x", "/rigid/pose:x"])
+def test_a_card_that_does_not_fit_is_answered_with_how_to_find_or_draft_another(source: str) -> None:
+    log = log_of(**{"/rigid/pose": {"position.x": np.zeros(5)}, "/cmd": {"x": [0.0]}})
+
+    with pytest.raises(CardError) as error:
+        column(log, Channel(source), 5)
+
+    assert one_line(error).endswith(
+        "(`rotorfit info flight.log` lists what is there and names the built-in card that fits; "
+        "`rotorfit info flight.log --draft-card FILE` drafts one)"
+    )
 
 
 def joystick() -> dict:

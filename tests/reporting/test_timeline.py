@@ -112,5 +112,6 @@ def test_a_flight_that_told_nothing_has_a_page_all_the_same(flight: Flight, tmp_
     assert write_timeline(nothing, flight, tmp_path / "track.html") is None
     page = (tmp_path / "track.html").read_text(encoding="utf-8")
     assert "x is not known yet; no alarm." in page
+    assert "Watched for changes: x never." in page
     assert "Nothing was identified at any time." in page
     assert write_timeline(nothing, flight, tmp_path / "track.html") is None  # the same page: nothing to keep

@@ -4,6 +4,7 @@ Also why a vehicle seems to respond before its command: clocks that disagree, or
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.command_response import TURNING
 from rotorfit.diagnosis.doctor import SHORT_TIME
 from rotorfit.diagnosis.frame_checks import OVER
+from rotorfit.diagnosis.pose_checks import FROZEN_AXIS
 from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
@@ -107,7 +109,8 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         fit: The fit with its flights.
         before: Findings of the single flights; those that the fit supersedes are left out.
     """
-    found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
+    told = [finding for finding in before if not _settled(finding, fit)]
+    found = list(told)
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
     overturned = any(finding.code == OVERTURNED for finding in found)
@@ -117,17 +120,19 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
         found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
         found += _event_findings(name, axis, flights)
+        changed = list(changed_coefficients(fit, name)) if name not in wrong else []
         if axis.predictor and name not in wrong:
             found += () if overturned and name in OVER else _sign_findings(fit, name, axis)
-            told = _coefficient_findings(name, axis, flights)
-            found += (one for one in told if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
+            known = _coefficient_findings(name, axis, flights)
+            found += (one for one in known if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
-            found += law_findings(name, axis)
+            laws = law_findings(name, axis)  # no other law explains a vehicle that changed
+            found += (replace(one, remedy=changed[0].remedy) if changed else one for one in laws)
         if axis.predictor and name in fit.estimates and name not in wrong:
             found += _slow_findings(name, k, axis, flights)
             found += _feedback_findings(name, fit.estimates[name])
-            found += changed_coefficients(fit, name)
+            found += changed
             if name in fit.braking:
                 whole = sum(flight.duration for flight in fit.flights)
                 found += findings_of_braking(name, *fit.braking[name], whole)
@@ -136,7 +141,9 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
     found += disagreement_findings(fit)
-    return by_gravity(found)
+    still = {finding.axis for finding in told if finding.code == FROZEN_AXIS}
+    still |= {"x", "y"} if still & {"x", "y"} else set()  # the heading turns one into both
+    return by_gravity(one for one in found if one in told or one.axis not in still)  # its remedies would be wrong
 
 
 def _settled(finding: Finding, fit: Fit) -> bool:

@@ -88,6 +88,7 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
     change = max(np.ptp(gains) / abs(gains.mean()), np.ptp(dampings) / dampings.mean(), 10 * np.ptp(delays))
     if change < LEAST_CHANGE:
         return
+    log = serving[0].path if len(serving) == 1 else "LOG"
     told = "; ".join(
         f"{p.start:.0f} to {p.end:.0f} s: {g:.3g}, {b:.3g} 1/s, {tau:.3f} s"
         for p, g, b, tau in zip(found.parts, gains, dampings, delays, strict=True)
@@ -98,7 +99,8 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
         f"input gain, damping and delay of {axis} differ between halves of the flights ({told}): chi-square "
         f"{found.chi_square:.0f} with {found.degrees} degrees of freedom, by chance in {found.probability:.0e}",
         f"the coefficients of {axis} are a mean over what changes; their intervals are of that mean",
-        "look for what changed: battery, limits, speed range, a clock that drifts; fit each part by --span",
+        f"`rotorfit track {log}` finds when it changed, and what; then fit each part by --span; if it raises no alarm, "
+        "look for what drifts: battery, speed range, a clock",
         axis,
     )
 

@@ -40,7 +40,7 @@ UNMOVED = "not excited: no command moves it"
 Cause = Literal["payload", "thrust", "limits", "delay", "pose_jumped", "pose_frozen", "another_vehicle", "other"]
 """Probable cause of a change; see `docs/track.md`."""
 
-QUANTITIES = ("input", "damping", "delay", "lag", "steady_gain", "total_lag")
+QUANTITIES = ("input", "damping", "delay", "lag", "zero", "steady_gain", "total_lag")
 """The quantities of an axis, in the order of the lines that `rotorfit track --jsonl` prints."""
 
 
@@ -62,9 +62,10 @@ class TrackedAxis:
         ahead: Velocity one second later, if the last command holds [m/s, rad/s]; None where unknown.
         ahead_ci95: Its 95 % band.
         earlier: Name of the earlier model that the values are from; empty where they are from this flight.
-        against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`
-            and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values are
+        against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`,
+            `zero` and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values are
             from this flight.
+        watched: Time of the first test that could have raised an alarm about it [s]; None before.
     """
 
     knowledge: Knowledge = "learning"
@@ -81,6 +82,7 @@ class TrackedAxis:
     ahead_ci95: Interval = (None, None)
     earlier: str = ""
     against: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    watched: float | None = None
 
     def to_mapping(self) -> dict[str, Any]:
         """The state as a line of JSON holds it."""
@@ -98,6 +100,7 @@ class TrackedAxis:
             "velocity_in_1_s_ci95": list(self.ahead_ci95),
             "from": self.earlier or None,
             "against_earlier": {name: list(three) for name, three in self.against.items()},
+            "watched_from": self.watched,
         }
 
 
@@ -195,7 +198,7 @@ class Alarm:
         cause: Probable cause.
         since: 95 % interval of the time of the change [s].
         change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay` and `trim`, and where the
-            vehicle is another one for `lag` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty until it is
+            vehicle is another one for `lag`, `zero` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty until it is
             revised.
         confidence: Share of the evidence for this cause among all that were compared.
         p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
@@ -234,7 +237,7 @@ class Alarm:
         axis, what = name.split(".")
         if what == "trim":
             return f"{POSE_UNITS[axis]}/s^2"
-        lags = ("lag", "total_lag") if self.cause == "another_vehicle" else ()
+        lags = ("lag", "zero", "total_lag") if self.cause == "another_vehicle" else ()
         return "s" if what in ("delay", *lags) else ""
 
     def to_mapping(self) -> dict[str, Any]:
@@ -375,6 +378,15 @@ class Track:
     def alarms(self) -> tuple[Alarm, ...]:
         """All alarms, in order, each as it was revised last."""
         return revised(alarm for state in self.states for alarm in state.alarms)
+
+    @property
+    def watch(self) -> str:
+        """From when on each axis was tested for changes, in words; empty for a track without axes."""
+        axes = self.states[-1].axes if self.states else {}
+        since = {axis: one.watched for axis, one in axes.items()}
+        groups = {time: ", ".join(axis for axis, other in since.items() if other == time) for time in since.values()}
+        told = [f"{names} {'never' if t is None else f'from {t:.1f} s on'}" for t, names in groups.items()]
+        return f"Watched for changes: {'; '.join(told)}" if told else ""
 
     @property
     def axes(self) -> tuple[str, ...]:

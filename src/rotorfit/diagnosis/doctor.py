@@ -13,7 +13,7 @@ from rotorfit.diagnosis.clock_checks import clock_findings
 from rotorfit.diagnosis.command_checks import command_findings
 from rotorfit.diagnosis.frame_checks import frame_findings, sign_findings
 from rotorfit.diagnosis.motion_checks import motion_findings
-from rotorfit.diagnosis.pose_checks import pose_findings
+from rotorfit.diagnosis.pose_checks import FROZEN_AXIS, pose_findings
 from rotorfit.diagnosis.position_loop import restoring_findings
 from rotorfit.diagnosis.recording import Recording, recording_of
 
@@ -37,6 +37,8 @@ def findings_of_flight(log: Log, flight: Flight) -> tuple[Finding, ...]:
             for finding in found[motion_findings]
             if not (finding.code == "wind_dominates" and finding.axis in ("x", "y"))
         )
+    still = {finding.axis for finding in found[pose_findings] if finding.code == FROZEN_AXIS}
+    found[motion_findings] = tuple(finding for finding in found[motion_findings] if finding.axis not in still)
     return by_gravity(
         finding if finding.code == DAMAGED else replace(finding, evidence=f"{flight.path}: {finding.evidence}")
         for findings in found.values()

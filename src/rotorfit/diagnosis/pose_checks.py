@@ -1,13 +1,13 @@
-"""Checks of the poses of a flight: jumps of the markers, and implausible units."""
+"""Checks of the poses of a flight: jumps of the markers, axes that stand still, and implausible units."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from rotorfit.core.display import counted
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES, UNIT_SCALE, Array, Mask
+from rotorfit.core.frames import AXES, POSE_UNITS, UNIT_SCALE, Array, Mask
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.recording import Recording
 from rotorfit.dynamics.compiled import kernel
@@ -26,6 +26,16 @@ NEIGHBOURS = 9
 RETURN = 1.0
 """Time within which a jump that is undone has returned [s]."""
 
+FROZEN = 5.0
+"""Least time for which a coordinate repeats exactly, though it is commanded, to be frozen [s]: heights in steps of a
+centimetre repeat for less while the vehicle climbs."""
+
+FROZEN_COMMAND = 0.5
+"""Least RMS of the command meanwhile, as a share of that of the whole flight."""
+
+FROZEN_AXIS = "pose_frozen"
+"""Code of the finding about a frozen coordinate, which explains what other checks find on its axis."""
+
 FASTEST, HARDEST = 30.0, 25.0
 """RMS speed [m/s] and acceleration [m/s^2] over a flight that no multirotor sustains."""
 
@@ -39,8 +49,11 @@ SMALLEST = 0.02
 def pose_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the poses of one flight."""
     flight, motion = recording.flight, recording.motion
-    yield from _leaps("position", flight.pose_time, flight.position, *LEAP_FLOORS[0])
-    yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1])
+    frozen = dict(_frozen_axes(flight))
+    thawed = [end for _, end in frozen.values()]
+    yield from _leaps("position", flight.pose_time, flight.position, *LEAP_FLOORS[0], thawed)
+    yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1], thawed)
+    yield from _frozen(flight, frozen)
     yield from _unit_of_position(flight, motion)
     yield from _unit_of_yaw(motion)
 
@@ -113,8 +126,55 @@ def _pace(motion: Motion) -> tuple[float, float]:
     return speed, acceleration
 
 
-def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> Iterator[Finding]:
+def _frozen_axes(flight: Flight) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Each coordinate that repeats exactly for `FROZEN` while it is commanded, and its longest such stretch [s]."""
+    turned = [flight.command[:, [0, 1]], flight.command[:, [0, 1]], flight.command[:, [2]], flight.command[:, [3]]]
+    for axis, values, command in zip(AXES, [*flight.position.T, flight.yaw], turned, strict=True):
+        channel = flight.card.pose.get("qw" if axis == "yaw" and "yaw" not in flight.card.pose else axis)
+        if channel is None or not isinstance(channel.source, str):  # not measured
+            continue
+        moves = np.flatnonzero(np.diff(values)) + 1
+        starts, ends = np.r_[0, moves], np.r_[moves, len(values)] - 1
+        longest = int(np.argmax(flight.pose_time[ends] - flight.pose_time[starts]))
+        start, end = (float(flight.pose_time[each[longest]]) for each in (starts, ends))
+        during = command[(flight.command_time >= start) & (flight.command_time <= end)]
+        if end - start < FROZEN or not np.any(np.ptp(during, axis=0) if len(during) else 0.0):
+            continue
+        if np.mean(during**2) >= FROZEN_COMMAND**2 * np.mean(command**2):
+            yield axis, (start, end)
+
+
+def _frozen(flight: Flight, frozen: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
+    first, last = flight.pose_time[[0, -1]]
+    for axis, (start, end) in frozen.items():
+        index = int(np.searchsorted(flight.pose_time, start))
+        value = flight.yaw[index] if axis == "yaw" else flight.position[index, AXES.index(axis)]
+        whole = start <= first and end >= last
+        where = "throughout" if whole else f"from {start:.1f} s {'to the end' if end >= last else f'to {end:.1f} s'}"
+        cause = "a sensor, an estimator or a bridge that repeats its last value"
+        others = ",".join(other for other in flight.axes if other != axis)
+        yield Finding(
+            FROZEN_AXIS,
+            "warning",
+            f"{axis} of the pose is frozen {where}: exactly {value:.4g} {POSE_UNITS[axis]} for {end - start:.1f} s, "
+            "while it is commanded and the rest of the pose moves",
+            f"{axis} shows no response to its commands there: "
+            + ("none of its coefficients can be identified" if whole else "its coefficients are wrong or unknown"),
+            f"check that the card names the right column for {axis} of [pose]; if so, look for {cause}"
+            + (f"; fit the other axes by --axes {others}" if others else "")
+            if whole
+            else f"fit without that stretch, --span {f':{start:.1f}' if start - first >= last - end else f'{end:.1f}:'}; "
+            f"look for {cause}",
+            axis,
+        )
+
+
+def _leaps(
+    what: str, time: Array, value: Array, floor: float, slope: float, thawed: Sequence[float]
+) -> Iterator[Finding]:
     when, by = leaps(time, value, floor, slope)
+    kept = [one > 0 and time[max(one - 1, 0)] not in thawed for one in np.searchsorted(time, when)]
+    when, by = when[kept], by[kept]  # a coordinate that was frozen catches up: told as such
     if not len(when):
         return
     back = _undone(when, by)

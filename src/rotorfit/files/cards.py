@@ -128,7 +128,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
     commands = {axis: _channel(command[axis], f"{in_command} {axis}", _ANY, True) for axis in AXES if axis in command}
     if not commands:
         raise CardError(f"{in_command}: no axis is commanded; name a column for at least one of x, y, z, yaw")
-    return Card(
+    card = Card(
         name=_text(raw.get("name", where), f"{place}, name"),
         frame=_choice(raw.get("frame", "ENU"), ("ENU", "NED"), f"{place}, frame"),
         command_frame=_choice(command.get("frame", "heading"), ("heading", "world"), f"{in_command} frame"),
@@ -153,6 +153,25 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
         over=_names(raw.get("over", []), f"{place}, over"),
     )
+    refuse_shared({"time": card.command_time, **card.command}, in_command)
+    refuse_shared({"time": card.pose_time, **card.pose}, in_pose)
+    refuse_shared(card.velocity, f"{place}, [velocity]")
+    return card
+
+
+def refuse_shared(roles: Mapping[str, Channel], place: str) -> None:
+    """Refuses one column in two roles: one of them certainly reads what is another's.
+
+    Raises:
+        CardError: Two channels name the same column.
+    """
+    role_of: dict[str, str] = {}
+    for role, channel in roles.items():
+        if not isinstance(channel.source, str):  # constants may be alike
+            continue
+        first = role_of.setdefault(channel.source, role)
+        if first != role:
+            raise CardError(f"{place}: {first} and {role} both read {channel.source!r}; each needs a column of its own")
 
 
 def _check_keys(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:

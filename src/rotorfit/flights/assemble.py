@@ -14,6 +14,7 @@ from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import ANSWER, MIN_DURATION, SLOWEST_POSES, Clocks, Flight, Note, Segment
 from rotorfit.core.frames import AXES, Array, Indices, heading_from_world
 from rotorfit.core.log import Log
+from rotorfit.files.cards import refuse_shared
 from rotorfit.flights.clocks.arrival import with_sound_stamps
 from rotorfit.flights.clocks.sender_drift import on_the_recorders_clock
 from rotorfit.flights.clocks.two_clocks import ANSWER_HALF, on_one_clock
@@ -139,12 +140,14 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         The flight, each repair noted with its count.
 
     Raises:
-        CardError: A column is missing, or its length does not match its stamps.
+        CardError: A column is missing or read in two roles, or its length does not match its stamps.
         FlightError: No commands, no poses, a pose that never changes, a clock that runs backwards, no common window,
             an empty span, less than two seconds, poses more than a second apart, clocks of two files without a known
             offset, or yaw in degrees taken for radians.
     """
     written, card = card, bound(card, log)
+    channels = (("command", card.command), ("pose", card.pose), ("velocity", card.velocity))
+    refuse_shared({f"[{part}] {axis}": one for part, known in channels for axis, one in known.items()}, str(log.path))
     units = unit_note(written, card)
     log, stamped = with_sound_stamps(log, card)
     log, corrected, stamp_error = on_the_recorders_clock(log, card)

@@ -194,7 +194,9 @@ def raw_column(log: Log, source: str | float, count: int | None = None) -> tuple
     elif row and row[1] in table.columns:
         values = _row(table.columns[row[1]], int(row[2]), count, f"{log.path}: {source}")
     else:
-        raise CardError(f"{log.path}: no column {name!r} in {table.name!r}{nearest(name, table.columns)}")
+        raise CardError(
+            f"{log.path}: no column {name!r} in {table.name!r}{nearest(name, table.columns)}{_another_card(log)}"
+        )
     if values.dtype.kind not in "biuf":
         raise CardError(f"{log.path}: {source} holds no numbers (type {values.dtype})")
     return name, values
@@ -222,11 +224,16 @@ def table_of(log: Log, source: str) -> tuple[Table, str]:
         raise CardError(f"{log.path}: table {head!r} was not decoded: {log.skipped[head]}")
     if head:
         raise CardError(
-            f"{log.path}: no table {head!r}{nearest(head, [*log.tables, *log.skipped])} (`rotorfit info` without a "
-            "card lists them, and names the built-in card that fits)"
+            f"{log.path}: no table {head!r}{nearest(head, [*log.tables, *log.skipped])}{_another_card(log)}"
         )
     holders = [table.name for table in log.tables.values() if source in table.columns] or list(log.tables) or ["TABLE"]
     raise CardError(f"{log.path}: {source!r} names no table of the {len(log.tables)}; write '{holders[0]}:{source}'")
+
+
+def _another_card(log: Log) -> str:
+    """Where to find a card for a log that lacks what a card names, to end an error message."""
+    info = f"rotorfit info {log.path}"
+    return f" (`{info}` lists what is there and names the built-in card that fits; `{info} --draft-card FILE` drafts one)"
 
 
 def _vector(values: Column, what: str) -> Column:

@@ -78,6 +78,11 @@ class Listening:
         """Whether the link's clock is the wall clock."""
         return self._link.live
 
+    @property
+    def now(self) -> int:
+        """Time by the link's clock [ns]."""
+        return self._link.now
+
     def __iter__(self) -> Iterator[Heard]:
         begun = self._link.now
         heard_at, gone = begun, False

@@ -86,7 +86,7 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
             {"headline": _headline(track), "states": known, "rows": _rows(last.axes), "air": _air(last.air)},
         ),
         "time": ("Over time", {"number": panels.number, "axes": _by_axis(panels)}),
-        "alarms": ("Alarms", {"alarms": [raised(alarm) for alarm in track.alarms]}),
+        "alarms": ("Alarms", {"alarms": [raised(alarm) for alarm in track.alarms], "watch": track.watch}),
         "regimes": ("Regimes", {"regimes": _regimes(track.regimes, files), "several_regimes": len(track.regimes) > 1}),
         "on": ("How to go on", {"commands": _commands(track, flight, files), "notes": flight.notes}),
     }

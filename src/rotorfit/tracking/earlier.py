@@ -36,7 +36,7 @@ DEGREES = 5.0
 of one vehicle, 6 differ by more than 4, 2 by more than 5 and 1 by more than 6 standard errors; it predicts 8, 3 and
 1.4."""
 
-TIMES = ("delay", "lag", "total_lag")
+TIMES = ("delay", "lag", "zero", "total_lag")
 """Quantities compared by their difference [s]; the others are compared by their ratio."""
 
 ALIKE = ("steady_gain", "total_lag")

@@ -187,6 +187,7 @@ class Following:
         self._laws: dict[str, str] = {}
         self._known: dict[str, float] = {}
         self._raised: _Raised | None = None
+        self._watched: dict[str, float] = {}
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
         self.next_look = LEAST_TIME
@@ -232,7 +233,7 @@ class Following:
     def memory(self) -> dict[str, Any]:
         """Regimes and the time of the next look, as plain types; `recall` leaves the estimates to new fits."""
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
-        told = {"compared": self._compared, "unlike": sorted(self._unlike)}
+        told = {"compared": self._compared, "unlike": sorted(self._unlike), "watched": dict(self._watched)}
         since = {"since": dict(self._since), "changed": dict(self._changed), "laws": dict(self._laws)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
 
@@ -243,6 +244,7 @@ class Following:
         self.next_look = memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
         self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
+        self._watched = dict(memory.get("watched", {}))
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
         """The final state, after a last fit of each group, and the regimes with their models.
@@ -308,6 +310,8 @@ class Following:
         known = _renewed(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths)
+        watched = {name.partition(".")[0] for names, each in looked.items() if each for name in names}
+        self._watched = {**dict.fromkeys(watched, now), **self._watched}
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
         if raised:
@@ -470,7 +474,7 @@ class Following:
             if fitted and axis in fitted.estimates and structure != law:
                 state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
-        out = TrackedAxis(knowledge, state)
+        out = TrackedAxis(knowledge, state, watched=self._watched.get(axis))
         if fitted and report:
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure

@@ -12,7 +12,9 @@ from rotorfit.app.terminal.tables import View, bullets, indented, interval_text,
 from rotorfit.core.frames import POSE_UNITS
 from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Track, Tracked, TrackedAxis
 
-UNITS = {"input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "steady_gain": "{}/s", "total_lag": "s"}
+UNITS = {
+    "input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "zero": "s", "steady_gain": "{}/s", "total_lag": "s",
+}  # fmt: skip
 """Quantity to its unit, with `{}` for that of the axis' pose; input and steady gain are per command of 1."""
 
 SHOWN_AT_ONCE = ("known", "not_identifiable")
@@ -60,7 +62,7 @@ def _apart(axis: TrackedAxis) -> str:
 
 
 def _times(name: str, change: float) -> str:
-    return f"{change:+.3f} s" if name in ("delay", "lag", "total_lag") else f"{change:.2f}"
+    return f"{change:+.3f} s" if name in ("delay", "lag", "zero", "total_lag") else f"{change:.2f}"
 
 
 def line_of(state: Tracked) -> str:
@@ -127,6 +129,8 @@ def track_view(result: Track) -> View:
     yield from bullets(
         f"{name} against the earlier model: {_apart(axis)}" for name, axis in last.axes.items() if axis.against
     )
+    if result.watch:
+        yield indented(result.watch, 0)
     if last.air:
         yield indented(_wind(last.air), 0)
     if len(result.regimes) > 1:

@@ -77,6 +77,18 @@ def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
     return SimLink(FlightRoom(vehicle, conditions, seed, start, flying))
 
 
+def changes_missed(address: str, now: int) -> str:
+    """The changes of an address that were still to come when the flight ended, one line; empty if there are none.
+
+    Args:
+        address: As for `open_link`, and valid.
+        now: The link's clock at the end of the flight [ns].
+    """
+    end = (now - EPOCH) / 1e9
+    missed = [option for option in address.split(",")[1:] if "@" in option and float(option.partition("@")[2]) > end]
+    return f"ended at {end:.0f} s, before the change {', '.join(missed)}: the flight is without it" if missed else ""
+
+
 def _scene(options: Sequence[str]) -> tuple[Four, int, bool]:
     """Start, seed, and whether the vehicle is flying, from their options."""
     scene = DEFAULTS | {key: text for key, _, text in (option.partition("=") for option in reversed(options))}

@@ -5,7 +5,7 @@ if (location.search) history.replaceState(null, "", location.pathname); // the k
 const KEPT = 3600;
 const AXES = ["x", "y", "z", "yaw"];
 const QUANTITIES = [["input", "{}/s²"], ["damping", "1/s"], ["delay", "s"], ["wind", "{}/s²"]]; // as charts, in the unit of length or angle
-const REST = [["lag", "s"], ["steady_gain", "{}/s"], ["total_lag", "s"]]; // as text
+const REST = [["lag", "s"], ["zero", "s"], ["steady_gain", "{}/s"], ["total_lag", "s"]]; // as text
 const WIDEST = 6; // a chart is not scaled to intervals so many times as wide as their median: some seconds know little
 const place = id => document.getElementById(id);
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -147,7 +147,7 @@ function alarmed(alarm) { // a revision takes the place of its alarm
   const box = made("div", "alarm"), head = made("div");
   head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, raised at ${(alarm.revises ?? alarm.time).toFixed(2)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
   const changes = Object.entries(alarm.change).map(([name, [low, high]]) => {
-    const [axis, what] = name.split("."), seconds = alarm.cause === "another_vehicle" ? ["delay", "lag", "total_lag"] : ["delay"];
+    const [axis, what] = name.split("."), seconds = alarm.cause === "another_vehicle" ? ["delay", "lag", "zero", "total_lag"] : ["delay"];
     const unit = what === "trim" ? unitOf("{}/s²", axis) : seconds.includes(what) ? "s" : "";
     return `${axis} ${what.replaceAll("_", " ")} ${unit ? "by" : "times"} ${between(low, high)}${unit && ` ${unit}`}`;
   });
