@@ -198,8 +198,8 @@ class Alarm:
         cause: Probable cause.
         since: 95 % interval of the time of the change [s].
         change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay` and `trim`, and where the
-            vehicle is another one for `lag`, `zero` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty until
-            it is revised.
+            vehicle is another one for `lag`, `zero` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty
+            until it is revised.
         confidence: Share of the evidence for this cause among all that were compared.
         p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
         why: Why this cause and not the others, one sentence.
