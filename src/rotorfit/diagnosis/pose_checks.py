@@ -155,7 +155,7 @@ def _frozen(flight: Flight, frozen: Mapping[str, tuple[float, float]]) -> Iterat
         span = f":{start:.1f}" if start - first >= last - end else f"{end:.1f}:"
         others = ",".join(other for other in flight.axes if other != axis)
         yield Finding(
-            FROZEN_AXIS,
+            "pose_frozen",
             "warning",
             f"{axis} of the pose is frozen {where}: exactly {value:.4g} {POSE_UNITS[axis]} for {end - start:.1f} s, "
             "while it is commanded and the rest of the pose moves",
