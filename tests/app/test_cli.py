@@ -269,6 +269,12 @@ def test_one_log_cannot_be_left_out_but_its_parts_can(folder: Path) -> None:
 # Validate and compare
 
 
+def test_a_flight_that_the_model_was_fitted_to_is_told_before_its_scores(folder: Path) -> None:
+    lines = done("validate", folder / "ml.json", folder / "first.bag", "--horizons", "0.5").splitlines()
+
+    assert lines[1].strip() == "the model was fitted to it: proves nothing. Give a flight that was not fitted."
+
+
 def test_scores_stand_beside_the_baselines_at_the_horizons_asked_for(folder: Path) -> None:
     found = json_of("validate", folder / "ml.json", folder / "second.bag", "--horizons", "0.5,1")
 

@@ -60,7 +60,9 @@ def test_fly_shows_the_preflight_flies_and_says_what_to_do_next(tmp_path: Path) 
 
 def test_fly_as_json_holds_everything_and_nothing_else(tmp_path: Path) -> None:
     output = tmp_path / "flight.mcap"
-    result = rotorfit("fly", saved(tmp_path), "--link", "sim:bebop2,gusts=0.1,mass=1.3@500", "-o", output, "--seed", 3, "--json")
+    result = rotorfit(
+        "fly", saved(tmp_path), "--link", "sim:bebop2,gusts=0.1,mass=1.3@500", "-o", output, "--seed", 3, "--json"
+    )
     assert re.search(r"sim:.*: ended at \d+ s, before the change mass=1.3@500: the flight is without it", result.stderr)
 
     told = json.loads(result.stdout)

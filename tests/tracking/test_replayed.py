@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from flights import truth_of
+from flights import STILL, flown, steps, truth_of
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.estimation.fitting import fit
-from rotorfit.tracking.replayed import growing, until
+from rotorfit.tracking.replayed import growing, tracked, until
 from tracked_flights import LAW, LENGTH, QUIET_FROM, TRUTH, known, rested
 
 pytestmark = pytest.mark.flights
@@ -78,3 +78,13 @@ def test_without_commands_the_last_values_hold_and_no_interval_narrows() -> None
             assert one.ci95 == first[axis].ci95
     words = [state.axes["x"].state for state in holding]
     assert len(set(words)) == len(words)  # they count the seconds
+
+
+def test_an_axis_is_watched_from_the_first_test_that_could_raise_an_alarm_about_it() -> None:
+    flight = flown(STILL, steps(("x", "y", "z"), seed=6), 20.0)
+    track = tracked(flight, "first_order_delay")
+    watched = {axis: one.watched for axis, one in track.states[-1].axes.items()}
+
+    assert watched["yaw"] is None  # no command moves it
+    assert all(12.0 < watched[axis] < 20.0 for axis in ("x", "y", "z"))
+    assert all(one.axes["x"].watched is None for one in track.states if one.time < watched["x"])

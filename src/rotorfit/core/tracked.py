@@ -63,8 +63,8 @@ class TrackedAxis:
         ahead_ci95: Its 95 % band.
         earlier: Name of the earlier model that the values are from; empty where they are from this flight.
         against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`,
-            `zero` and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values are
-            from this flight.
+            `zero` and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values
+            are from this flight.
         watched: Time of the first test that could have raised an alarm about it [s]; None before.
     """
 
@@ -198,8 +198,8 @@ class Alarm:
         cause: Probable cause.
         since: 95 % interval of the time of the change [s].
         change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay` and `trim`, and where the
-            vehicle is another one for `lag`, `zero` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty until it is
-            revised.
+            vehicle is another one for `lag`, `zero` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty
+            until it is revised.
         confidence: Share of the evidence for this cause among all that were compared.
         p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
         why: Why this cause and not the others, one sentence.

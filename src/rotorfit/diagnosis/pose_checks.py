@@ -152,9 +152,10 @@ def _frozen(flight: Flight, frozen: Mapping[str, tuple[float, float]]) -> Iterat
         whole = start <= first and end >= last
         where = "throughout" if whole else f"from {start:.1f} s {'to the end' if end >= last else f'to {end:.1f} s'}"
         cause = "a sensor, an estimator or a bridge that repeats its last value"
+        span = f":{start:.1f}" if start - first >= last - end else f"{end:.1f}:"
         others = ",".join(other for other in flight.axes if other != axis)
         yield Finding(
-            FROZEN_AXIS,
+            "pose_frozen",
             "warning",
             f"{axis} of the pose is frozen {where}: exactly {value:.4g} {POSE_UNITS[axis]} for {end - start:.1f} s, "
             "while it is commanded and the rest of the pose moves",
@@ -163,8 +164,7 @@ def _frozen(flight: Flight, frozen: Mapping[str, tuple[float, float]]) -> Iterat
             f"check that the card names the right column for {axis} of [pose]; if so, look for {cause}"
             + (f"; fit the other axes by --axes {others}" if others else "")
             if whole
-            else f"fit without that stretch, --span {f':{start:.1f}' if start - first >= last - end else f'{end:.1f}:'}; "
-            f"look for {cause}",
+            else f"fit without that stretch, --span {span}; look for {cause}",
             axis,
         )
 

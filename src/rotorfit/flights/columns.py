@@ -233,7 +233,9 @@ def table_of(log: Log, source: str) -> tuple[Table, str]:
 def _another_card(log: Log) -> str:
     """Where to find a card for a log that lacks what a card names, to end an error message."""
     info = f"rotorfit info {log.path}"
-    return f" (`{info}` lists what is there and names the built-in card that fits; `{info} --draft-card FILE` drafts one)"
+    return (
+        f" (`{info}` lists what is there and names the built-in card that fits; `{info} --draft-card FILE` drafts one)"
+    )
 
 
 def _vector(values: Column, what: str) -> Column:

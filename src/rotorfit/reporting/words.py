@@ -13,7 +13,8 @@ TERMS: Mapping[str, str] = MappingProxyType(
         "delay": "Time from the stamp of a command until the vehicle begins to answer.",
         "steady gain": "g / b: speed that is reached in the end per unit of a command that lasts.",
         "offset plus delay": "From a command's stamp to its answer's, by two clocks: what is delay cannot be told.",
-        "total lag": "delay + lag + 1 / b, with a zero delay + 1 / b - zero: by how much the speed trails behind a command that changes slowly.",
+        "total lag": "delay + 1 / b, with a lag before the velocity + lag, with a zero - zero: by how much the speed "
+        "trails behind a command that changes slowly.",
         "lag": "Time constant between a command and the acceleration that answers it: the attitude loop's.",
         "zero": "Time constant Z of the numerator of second_order_zero: as in a velocity loop with feed-forward.",
         "wind": "Acceleration that the commands do not explain, the trim with it: heading frame, 95 % interval.",

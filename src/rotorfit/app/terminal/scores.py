@@ -113,14 +113,14 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
         rows = {name: each[number] for name, each in scores.items()}
         shown = [axis for axis in flight.moved if any(_has_scores(rows[name], axis) for name in models)]
         yield title(f"{flight.path}, {start:.2f} to {end:.2f} s; heading {flight.heading}")
+        if seen := [name for name in models if rows[name].fitted]:
+            told = "the model" if models == ("model",) else ", ".join(seen)
+            yield indented(f"{told} was fitted to it: proves nothing. Give a flight that was not fitted.")
         horizons = list(flight.axes["x"].horizons)
         for first in range(0, len(horizons), _AT_ONCE):
             some = horizons[first : first + _AT_ONCE]
             if shown:
                 yield _score_table(rows, shown, some)
-        seen = [name for name in models if rows[name].fitted]
-        if seen:
-            yield indented(f"No proof: {', '.join(seen)} was fitted to this stretch. Give a flight that was not.")
         missing = [axis for axis in flight.moved if axis not in shown]
         if missing:
             yield indented(f"No scores of {', '.join(missing)}: no model of the axis, or fewer than 5 predictions.")
