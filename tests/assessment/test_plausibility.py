@@ -113,7 +113,7 @@ def test_a_flipped_sign_or_an_open_interval_is_no_matter_of_limits() -> None:
 
 
 def test_of_commands_in_si_the_scale_is_told_and_for_a_tilt_the_limit_that_it_would_be() -> None:
-    card = demo_card("", x="{ from = 'a', meaning = 'tilt' }", z="{ from = 'a', unit = 'm/s' }")
+    card = demo_card("", x="{ from = 'a', meaning = 'tilt' }", z="{ from = 'b', unit = 'm/s' }")
     told = found(model_of({"x": (7.0, 0.2, 0.1), "z": (4.0, 2.0, 0.1)}, card))
 
     assert "7 m/s^2 per rad" in told["gain_contradicts_limit", "x"].evidence
@@ -164,7 +164,7 @@ def test_the_covariance_of_x_and_y_is_part_of_the_test() -> None:
 
 def test_gains_of_commanded_speeds_and_channels_of_two_meanings_are_not_compared() -> None:
     points = {"x": (6.0, 0.3, 0.15), "y": (3.0, 0.3, 0.15)}
-    speeds = demo_card("", x="{ from = 'a', unit = 'm/s' }", y="{ from = 'a', unit = 'm/s' }")
+    speeds = demo_card("", x="{ from = 'a', unit = 'm/s' }", y="{ from = 'b', unit = 'm/s' }")
     mixed = demo_card("", x="{ from = 'a', unit = 'm/s' }")
 
     assert ("axes_differ", None) not in found(model_of(points, speeds))

@@ -73,8 +73,8 @@ def test_times_are_one_over_the_damping_and_the_total_lag_with_their_intervals()
 
 
 def test_commands_in_radians_and_metres_per_second_have_expectations_of_their_own() -> None:
-    card = demo_card("", x="{ from = 'a', meaning = 'tilt', unit = 'deg' }", y="{ from = 'a', unit = 'm/s' }",
-                     z="{ from = 'a', meaning = 'vertical_speed' }")  # fmt: skip
+    card = demo_card("", x="{ from = 'a', meaning = 'tilt', unit = 'deg' }", y="{ from = 'b', unit = 'm/s' }",
+                     z="{ from = 'c', meaning = 'vertical_speed' }")  # fmt: skip
     found = physics(model_of({"x": (9.0, 0.5, 0.2), "y": (2.2, 2.0, 0.2), "z": (4.0, 4.0, 0.1)}, card))
 
     assert found["x"]["acceleration"].expected == 9.81

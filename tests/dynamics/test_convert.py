@@ -175,8 +175,8 @@ def test_a_converted_model_says_from_what_and_its_recipe_leads_to_it() -> None:
     [
         ("tilt=20deg", model_of(card=demo_card("")), ModelError, "does not say what tilt was set"),
         ("speed=3", model_of(), ModelError, "x is a fraction of tilt"),
-        ("tilt=20deg", model_of(card=demo_card("", x="'a'", y="'a'")), ModelError, "give the channel a meaning"),
-        ("tilt=20deg", model_of(card=demo_card(x="{ from = 'a', unit = 'rad' }", y="'a'")), ModelError, "in SI units"),
+        ("tilt=20deg", model_of(card=demo_card("", x="'a'", y="'b'")), ModelError, "give the channel a meaning"),
+        ("tilt=20deg", model_of(card=demo_card(x="{ from = 'a', unit = 'rad' }", y="'b'")), ModelError, "in SI units"),
         ("tilt=20degg", model_of(), CardError, "nearest: 'deg'"),
         ("tilt=20m/s", model_of(), CardError, "is not one of rad, deg"),
         ("tilt=90deg", model_of(), CardError, "no tilt below 90 deg"),

@@ -198,7 +198,7 @@ def test_no_law_brings_back_an_optimum_that_the_search_has_left_out(
 ) -> None:
     """Yaw of the Bebop 2 is only held in these parts of a flight: one predicts worse, one is its controller."""
     # as of an axis that a loop holds and something else moves
-    monkeypatch.setattr(fitting, "restored_axes", lambda *_: ())
+    monkeypatch.setattr(fitting, "restored_axes", lambda *_, **__: ())
     folder = real_flights / "bebop2-wsu"
     early, late = (
         fit(

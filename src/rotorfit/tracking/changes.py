@@ -124,17 +124,22 @@ class _Compared:
     noise: float
 
 
+def _starts(scores: Scores, begins: Sequence[float]) -> list[tuple[float, int]]:
+    """The times, of those given, with enough of the regime before them to be compared, and their first rows."""
+    return [
+        (since, int(at))
+        for since, at in zip(begins, np.searchsorted(scores.time, begins), strict=True)
+        if at < scores.time.size and scores.chunks_before(int(at)) >= LEAST_CHUNKS
+    ]
+
+
 def _compared(scores: Scores, begins: Sequence[float]) -> list[_Compared]:
     """The comparison of each window, by its start [s], without those of which either part is too short.
 
     It is made under the strength of gusts in the window. A long window determines it: by its likelihood with
     coefficients, trims and start velocities of its own.
     """
-    starts = [
-        (since, int(at))
-        for since, at in zip(begins, np.searchsorted(scores.time, begins), strict=True)
-        if at < scores.time.size and scores.chunks_before(int(at)) >= LEAST_CHUNKS
-    ]
+    starts = _starts(scores, begins)
     if not starts:
         return []
     short = [bool(scores.time[-1] - since < OWN_GUSTS) for since, _ in starts]
@@ -281,8 +286,17 @@ def looked_for(scores: Scores) -> list[Contrast]:
 
 def _windows(scores: Scores, lengths: Sequence[float]) -> list[_Compared]:
     """The comparisons of the windows of some lengths [s], of at most half the regime."""
+    return _compared(scores, _begins(scores, lengths))
+
+
+def _begins(scores: Scores, lengths: Sequence[float]) -> list[float]:
     now, begin = float(scores.time[-1]), float(scores.time[0])
-    return _compared(scores, [now - w for w in lengths if w < 0.5 * (now - begin)])
+    return [now - w for w in lengths if w < 0.5 * (now - begin)]
+
+
+def compares(scores: Scores, lengths: Sequence[float] = WINDOWS) -> bool:
+    """Whether a look can compare a window of some length [s] with what was before."""
+    return bool(_starts(scores, _begins(scores, lengths)))
 
 
 def _looked_for(scores: Scores, windows: Sequence[_Compared], jolts: "_Jolts | None") -> list[Contrast]:

@@ -35,6 +35,7 @@ from rotorfit.tracking.changes import (
     Contrast,
     at_once,
     calm,
+    compares,
     in_any_air,
     looked_for,
     looked_together,
@@ -310,7 +311,8 @@ class Following:
         known = _renewed(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths)
-        watched = {name.partition(".")[0] for names, each in looked.items() if each for name in names}
+        compared = [name for scores in scored.values() if compares(scores, lengths) for name in scores.names]
+        watched = {name.partition(".")[0] for name in compared}
         self._watched = {**dict.fromkeys(watched, now), **self._watched}
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
