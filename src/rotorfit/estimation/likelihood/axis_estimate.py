@@ -57,7 +57,7 @@ class Estimate:
         place: Index of the axis in the optimum.
         found: Optima of the search, the selected one first; empty for an axis that no flight commands.
         excited: Whether its commands explain any of the motion.
-        laws: Its maximum under each of the default laws, the first-order law with a delay first; empty where those were
+        laws: Its maximum under each of the default laws, the first-order law with a delay first; empty where they were
             not compared.
     """
 
@@ -66,7 +66,7 @@ class Estimate:
     place: int
     found: tuple[CandidateOptimum, ...]
     excited: bool
-    laws: tuple[Optimum, ...] = ()
+    laws: tuple[Point, ...] = ()
 
     @cached_property
     def loop(self) -> LoopEvidence:
@@ -78,10 +78,10 @@ def known_optima(near: Estimate | None, records: Sequence[Record]) -> list[Point
     """The optima under the first-order law of an earlier estimate of the same axes, for `search`; empty without one."""
     if near is None or not near.excited or not near.found:
         return []
-    first = near.laws[0] if near.laws else near.optimum
-    points = [first.point, *(one.optimum.point for one in near.found[1:])]
+    first = near.laws[0] if near.laws else near.optimum.point
+    points = [first, *(one.optimum.point for one in near.found[1:])]
     same = all(one.gain.size == len(records[0].axes) and one.measured == measured_by(records) for one in points)
-    return points if same and not first.point.structures else []
+    return points if same and not first.structures else []
 
 
 def estimate_axis(

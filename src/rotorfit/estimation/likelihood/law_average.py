@@ -23,6 +23,7 @@ from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, ex
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached
 from rotorfit.estimation.likelihood.law_selection import effective_samples
 from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
+from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
 from rotorfit.estimation.likelihood.richer_laws import PriorOf, estimate_laws, under_law
 
@@ -143,7 +144,7 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
     return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
 
 
-def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf, near: Optimum | None) -> Estimate:
+def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf, near: Point | None) -> Estimate:
     """The law with a zero, climbed from the levels of the likelier of the other two."""
     better = max((lagged, plain), key=lambda one: one.optimum.score.log_likelihood)
     levels = replace(plain.optimum, point=replace(plain.optimum.point, levels=better.optimum.point.levels))
@@ -178,7 +179,7 @@ def _moves_as_lagged(led: Estimate) -> bool:
 def _weighed(plain: Estimate, tried: Sequence[Estimate], every: Sequence[Estimate]) -> Family:
     """The laws with their posterior weights from equal prior weights; laws whose climb has not ended are left out."""
     ended = [one for one in tried if not unfinished(one.optimum, one.place)]
-    plain = replace(no_worse(plain, ended), laws=(tops := tuple(one.optimum for one in every)))
+    plain = replace(no_worse(plain, ended), laws=(tops := tuple(one.optimum.point for one in every)))
     ended = [replace(one, laws=tops) for one in ended]
     if not ended:
         return Family(plain, (Law(plain, 1.0),))

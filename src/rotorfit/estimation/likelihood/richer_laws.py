@@ -45,7 +45,7 @@ def estimate_laws(
     estimates: Mapping[str, Estimate],
     structures: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
-    near: Mapping[str, Optimum] | None = None,
+    near: Mapping[str, Point] | None = None,
 ) -> dict[str, Estimate]:
     """Estimates of the axes of one group under other structures.
 
@@ -109,14 +109,14 @@ def under_law(
     axis: str,
     structure: Structure,
     prior_of: PriorOf = nothing_believed,
-    near: Optimum | None = None,
+    near: Point | None = None,
 ) -> Estimate:
     """Estimate of one axis by itself under a structure, climbed from a maximum on a part of the data if it is known."""
     if structure == FIRST_ORDER_DELAY:
         return estimate
     prior = prior_of((axis,), (structure,))
     if near and _goes_on(near, estimate.records, (structure,)):
-        start = moved_to(estimate.records, near.point)
+        start = moved_to(estimate.records, near)
         return replace(estimate, optimum=finished(estimate.records, start, [True], prior))
     found = [
         _begun(estimate.records, point, [True], prior)
@@ -127,9 +127,9 @@ def under_law(
     return replace(estimate, optimum=max(tops, key=posterior))
 
 
-def _goes_on(near: Optimum, records: Sequence[Record], structures: Sequence[Structure]) -> bool:
+def _goes_on(near: Point, records: Sequence[Record], structures: Sequence[Structure]) -> bool:
     """Whether a maximum on a part of the data is one of these laws, by the same kind of measurement."""
-    return tuple(near.point.structures) == tuple(structures) and near.point.measured == measured_by(records)
+    return tuple(near.structures) == tuple(structures) and near.measured == measured_by(records)
 
 
 def posterior(top: Optimum) -> float:
@@ -171,7 +171,7 @@ def _together(
     estimates: Mapping[str, Estimate],
     wanted: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
-    near: Optimum | None = None,
+    near: Point | None = None,
 ) -> dict[str, Estimate]:
     """Estimates of x and y by their joint likelihood: each axis in turn takes its best start, then both climb."""
     first = estimates[group[0]]
@@ -183,7 +183,7 @@ def _together(
         point = _side_by_side(records, [estimates[axis] for axis in group])
     point, known = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2))), False
     if near and _goes_on(near, records, [wanted[axis] for axis in group]):
-        point, known = moved_to(records, near.point), True
+        point, known = moved_to(records, near), True
     for k, axis in enumerate(group):
         if wanted[axis] != FIRST_ORDER_DELAY and not known:
             laws = (*point.structures[:k], wanted[axis], *point.structures[k + 1 :])
