@@ -64,7 +64,7 @@ def test_the_mean_wind_is_told_where_it_is_known(track: Track, flight: Flight) -
 
     still = replace(air, speed=0.01, speed_ci95=(0.0, 0.031))
     calm = replace(track, states=(*track.states[:-1], replace(track.states[-1], air=still)))
-    assert "Mean wind of the last 40 s: below 0.03" in timeline_page(calm, flight)
+    assert "Mean wind of at most the last 40 s: below 0.03" in timeline_page(calm, flight)
     assert "towards" not in timeline_page(calm, flight)
 
 

@@ -136,12 +136,12 @@ def _air(air: Air | None) -> str:
     if air is None:
         return ""
     if not air.significant:
-        return f"Mean wind of the last 40 s: below {_value(air.speed_ci95[1], air.speed_ci95)} m/s."
+        return f"Mean wind of at most the last 40 s: below {_value(air.speed_ci95[1], air.speed_ci95)} m/s."
     speed = f"{_value(air.speed, air.speed_ci95)} m/s ({_interval(air.speed_ci95, air.speed)})"
     ends = tuple(math.degrees(end) for end in air.direction_ci95)
     return (
         (
-            f"Mean wind of the last 40 s: {speed} towards {math.degrees(air.direction):.0f}° "
+            f"Mean wind of at most the last 40 s: {speed} towards {math.degrees(air.direction):.0f}° "
             f"({ends[0]:.0f} to {ends[1]:.0f}°) from the world's x, counter-clockwise."
         )
         .replace("-", "−")
