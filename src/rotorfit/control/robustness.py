@@ -60,7 +60,7 @@ class Doubt:
 def known_dynamics(model: Model, axis: str) -> AxisBelief:
     """The axis as a first-order law with a delay: its own law, or the one beside another law.
 
-    No vehicle moves before its command: a delay below 0, from stamps that are off, counts as none.
+    No vehicle moves before its command: a delay below 0, as where stamps are off, counts as none.
 
     Raises:
         ModelError: The axis was not excited.

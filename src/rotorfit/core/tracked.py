@@ -43,6 +43,9 @@ Cause = Literal["payload", "thrust", "limits", "delay", "pose_jumped", "pose_fro
 QUANTITIES = ("input", "damping", "delay", "lag", "zero", "steady_gain", "total_lag")
 """The quantities of an axis, in the order of the lines that `rotorfit track --jsonl` prints."""
 
+TIMES = ("delay", "lag", "zero", "total_lag")
+"""Quantities in s, which are compared by their difference; the others are compared by their ratio."""
+
 
 @dataclass(frozen=True)
 class TrackedAxis:
@@ -237,8 +240,7 @@ class Alarm:
         axis, what = name.split(".")
         if what == "trim":
             return f"{POSE_UNITS[axis]}/s^2"
-        lags = ("lag", "zero", "total_lag") if self.cause == "another_vehicle" else ()
-        return "s" if what in ("delay", *lags) else ""
+        return "s" if what in (TIMES if self.cause == "another_vehicle" else ("delay",)) else ""
 
     def to_mapping(self) -> dict[str, Any]:
         """The alarm as a line of JSON holds it."""

@@ -128,8 +128,8 @@ def _pace(motion: Motion) -> tuple[float, float]:
 
 def _frozen_axes(flight: Flight) -> Iterator[tuple[str, tuple[float, float]]]:
     """Each coordinate that repeats exactly for `FROZEN` while it is commanded, and its longest such stretch [s]."""
-    turned = [flight.command[:, [0, 1]], flight.command[:, [0, 1]], flight.command[:, [2]], flight.command[:, [3]]]
-    for axis, values, command in zip(AXES, [*flight.position.T, flight.yaw], turned, strict=True):
+    moved_by = [flight.command[:, [0, 1]], flight.command[:, [0, 1]], flight.command[:, [2]], flight.command[:, [3]]]
+    for axis, values, command in zip(AXES, [*flight.position.T, flight.yaw], moved_by, strict=True):
         channel = flight.card.pose.get("qw" if axis == "yaw" and "yaw" not in flight.card.pose else axis)
         if channel is None or not isinstance(channel.source, str):  # not measured
             continue

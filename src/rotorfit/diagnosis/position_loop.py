@@ -49,6 +49,7 @@ THINNED = 2000
 
 
 MotionOf = Callable[[Flight], Motion]
+"""Gives the motion of a flight."""
 
 
 @dataclass(frozen=True)

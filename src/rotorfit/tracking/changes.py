@@ -290,6 +290,7 @@ def _windows(scores: Scores, lengths: Sequence[float]) -> list[_Compared]:
 
 
 def _begins(scores: Scores, lengths: Sequence[float]) -> list[float]:
+    """When windows of some lengths [s] begin, without those that are longer than half the regime [s]."""
     now, begin = float(scores.time[-1]), float(scores.time[0])
     return [now - w for w in lengths if w < 0.5 * (now - begin)]
 

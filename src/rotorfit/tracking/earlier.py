@@ -25,7 +25,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.limits import disagreement
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Interval, Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import QUANTITIES, Alarm, TrackedAxis
+from rotorfit.core.tracked import QUANTITIES, TIMES, Alarm, TrackedAxis
 from rotorfit.files.models import load
 
 SHARE = 0.25
@@ -35,9 +35,6 @@ DEGREES = 5.0
 """Degrees of freedom of the Student distribution behind the p-values of a comparison. Of 769 pairs of recorded flights
 of one vehicle, 6 differ by more than 4, 2 by more than 5 and 1 by more than 6 standard errors; it predicts 8, 3 and
 1.4."""
-
-TIMES = ("delay", "lag", "zero", "total_lag")
-"""Quantities compared by their difference [s]; the others are compared by their ratio."""
 
 ALIKE = ("steady_gain", "total_lag")
 """Quantities that mean the same under every law."""

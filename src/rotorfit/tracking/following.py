@@ -311,9 +311,10 @@ class Following:
         known = _renewed(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths)
-        compared = [name for scores in scored.values() if compares(scores, lengths) for name in scores.names]
-        watched = {name.partition(".")[0] for name in compared}
-        self._watched = {**dict.fromkeys(watched, now), **self._watched}
+        for scores in scored.values():
+            axes = {name.partition(".")[0] for name in scores.names}
+            if not axes <= self._watched.keys() and compares(scores, lengths):
+                self._watched = {**dict.fromkeys(axes, now), **self._watched}
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
         if raised:

@@ -125,7 +125,6 @@ def fly(
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import ended_early, flown_view, next_command, preflight_view, status_line
     from rotorfit.core.errors import LinkError
-    from rotorfit.flying.links.opening import split
     from rotorfit.flying.links.sim import changes_missed
     from rotorfit.flying.mission import flown_mapping, flown_mission, mission
     from rotorfit.flying.preflight import refuse
@@ -147,8 +146,7 @@ def fly(
                 click.echo("tracker: fitting the flight once more (Ctrl-C leaves it out)", err=True)
         if beside:
             _show_last(beside)
-        name, address = split(link)
-        if name == "sim" and (missed := changes_missed(address, wanted.link.now)):
+        if missed := changes_missed(link, wanted.link.now):
             click.echo(f"{link}: {missed}", err=True)
     if result.reason != "completed":
         raise LinkError(ended_early(result))

@@ -236,7 +236,7 @@ def _listened(
     from rotorfit.app.live.session import card_for_link, track_link, with_recording
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
     from rotorfit.app.terminal.tracking import line_of
-    from rotorfit.flying.links.opening import open_listener, split
+    from rotorfit.flying.links.opening import open_listener
     from rotorfit.flying.links.sim import changes_missed
     from rotorfit.flying.listening import Listening
     from rotorfit.flying.mission import check_new
@@ -291,8 +291,7 @@ def _listened(
             with shown_line(lambda: line_of(tracker.state())):
                 moving = [*views.moving, *([recording.motion] if recording else [])]
                 result = track_link(tracker, listening, outlets, report, say, moving)
-            name, address = split(link)
-            if name == "sim" and (missed := changes_missed(address, listening.now)):
+            if missed := changes_missed(link, listening.now):
                 say(missed)
             if record:
                 result = with_recording(result, record)

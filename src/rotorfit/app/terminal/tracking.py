@@ -10,7 +10,7 @@ from rich.text import Text
 
 from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, title
 from rotorfit.core.frames import POSE_UNITS
-from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Track, Tracked, TrackedAxis
+from rotorfit.core.tracked import QUANTITIES, TIMES, Air, Alarm, Track, Tracked, TrackedAxis
 
 UNITS = {
     "input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "zero": "s", "steady_gain": "{}/s", "total_lag": "s",
@@ -62,7 +62,7 @@ def _apart(axis: TrackedAxis) -> str:
 
 
 def _times(name: str, change: float) -> str:
-    return f"{change:+.3f} s" if name in ("delay", "lag", "zero", "total_lag") else f"{change:.2f}"
+    return f"{change:+.3f} s" if name in TIMES else f"{change:.2f}"
 
 
 def line_of(state: Tracked) -> str:

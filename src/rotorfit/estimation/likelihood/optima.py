@@ -130,16 +130,11 @@ def search(
         point = without_gain(point, ~free[:K])
         if number:
             point = maximise(records, point, held_levels, tolerance=1.0, most=30).point
-        same = _same(point, [optimum.point for optimum in optima])
-        if same is None:
-            rise = climb if number == 0 else maximise  # later starts have levels with moderate poles already
-            climbed = rise(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
-            same = _same(climbed.point, [optimum.point for optimum in optima])
-        if same is None:
-            optima.append(climbed)
-            starts.append(1)
-        else:
-            starts[same] += 1
+        if _counted(point, optima, starts):
+            continue
+        rise = climb if number == 0 else maximise  # later starts have levels with moderate poles already
+        climbed = rise(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
+        _collect(climbed, optima, starts)
         if number == 0:
             levels = climbed.point.levels
     return _judged(records, flights, free, list(zip(optima, starts, strict=True)))
@@ -151,14 +146,23 @@ def _climbed_again(records: Sequence[Record], free: Mask, known: Sequence[Point]
     starts: list[int] = []
     for point in known:
         start = without_gain(moved_to(records, point), ~free[: point.gain.size])
-        climbed = maximise(records, start, free, tolerance=0.3, most=FINISH)
-        same = _same(climbed.point, [optimum.point for optimum in optima])
-        if same is None:
-            optima.append(climbed)
-            starts.append(1)
-        else:
-            starts[same] += 1
+        _collect(maximise(records, start, free, tolerance=0.3, most=FINISH), optima, starts)
     return list(zip(optima, starts, strict=True))
+
+
+def _collect(climbed: Optimum, optima: list[Optimum], starts: list[int]) -> None:
+    """Adds an optimum with one start, or counts one more start of that which it equals."""
+    if not _counted(climbed.point, optima, starts):
+        optima.append(climbed)
+        starts.append(1)
+
+
+def _counted(point: Point, optima: Sequence[Optimum], starts: list[int]) -> bool:
+    """Whether a point is at one of the optima, for which one more start is then counted."""
+    same = _same(point, [optimum.point for optimum in optima])
+    if same is not None:
+        starts[same] += 1
+    return same is not None
 
 
 def _judged(

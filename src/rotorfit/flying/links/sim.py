@@ -19,6 +19,7 @@ from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.flying.links.link import Action, Silence
+from rotorfit.flying.links.opening import split
 from rotorfit.simulation.air import wind_of
 from rotorfit.simulation.change import GIVEN, changes_of
 
@@ -77,15 +78,16 @@ def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
     return SimLink(FlightRoom(vehicle, conditions, seed, start, flying))
 
 
-def changes_missed(address: str, now: int) -> str:
-    """The changes of an address that were still to come when the flight ended, one line; empty if there are none.
+def changes_missed(link: str, now: int) -> str:
+    """The changes of a simulated vehicle that were still to come at the end of the flight, one line; empty without any.
 
     Args:
-        address: As for `open_link`, and valid.
+        link: A link as given, and valid; others than `sim` have no changes.
         now: The link's clock at the end of the flight [ns].
     """
-    end = (now - EPOCH) / 1e9
-    missed = [option for option in address.split(",")[1:] if "@" in option and float(option.partition("@")[2]) > end]
+    name, address = split(link)
+    end, options = (now - EPOCH) / 1e9, address.split(",")[1:] if name == "sim" else []
+    missed = [option for option in options if "@" in option and float(option.partition("@")[2]) > end]
     return f"ended at {end:.0f} s, before the change {', '.join(missed)}: the flight is without it" if missed else ""
 
 
