@@ -287,7 +287,7 @@ class Following:
         if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
             return replace(group, fitted=renewed(before, part))  # no excitation: the last values hold
         if before is None or grown(before.seen, excited, REFIT if before.estimates and self._often else growth(before)):
-            return replace(group, fitted=refitted(part, axes, self._structure, excited, before))
+            return replace(group, fitted=refitted(part, axes, self._structure, excited))
         return replace(group, fitted=stepped(before, part, excited))
 
     def _change(self, flight: Flight, now: float, standing: bool, lengths: Sequence[float] = WINDOWS) -> Alarm | None:

@@ -1,10 +1,10 @@
 """The estimate of one group of axes while the flight grows: batch refits, with single steps in between.
 
 A refit is `estimation.fitting.fit` on the flight so far: search, laws, profiles, judgement. It is made each time the
-excited time has grown by `REFIT`, and by `REFIT_SETTLED` while the last one stands. Refits climb from the optima of the
-last one, and search anew when the excited time has grown by `SEARCH`. Between refits the estimate takes a step or two
-of Fisher scoring on the data so far; its intervals keep the shape that the refit gave them and shrink with the
-information. The last estimate of a flight is that of the batch.
+excited time has grown by `REFIT`, and by `REFIT_SETTLED` while the last one stands, so that all refits together cost
+about as much as the last one. Between refits the estimate takes a step or two of Fisher scoring on the data so far; its
+intervals keep the shape that the refit gave them and shrink with the information. The last estimate of a flight is that
+of the batch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,10 +32,6 @@ REFIT, REFIT_SETTLED = 1.5, 2.5
 
 LONGEST = 300.0
 """How far an estimate looks back [s]; older parts of a regime are not used."""
-
-SEARCH = 3.0
-"""Growth of the excited time since the last search for optima that calls for another: refits between climb from the
-optima of the last."""
 
 REFIT_UNKNOWN = 1.2
 """As `REFIT`, as long as the last refit gave no numbers."""
@@ -69,7 +65,6 @@ class GroupEstimate:
             the standard error then, all on the scale of the quantity.
         steps: Number of steps since the refit.
         stepped: Excited time at the last step, or at the refit [s].
-        searched: Excited time at the last refit that searched for optima [s].
     """
 
     group: tuple[str, ...]
@@ -79,7 +74,6 @@ class GroupEstimate:
     half: Mapping[str, Mapping[str, tuple[Half, Half, float]]]
     steps: int = 0
     stepped: float = 0.0
-    searched: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -97,9 +91,7 @@ class AxisReport:
     ci95_flight: Mapping[str, Interval]
 
 
-def refitted(
-    flight: Flight, group: Sequence[str], structure: str, seen: float, before: GroupEstimate | None = None
-) -> GroupEstimate:
+def refitted(flight: Flight, group: Sequence[str], structure: str, seen: float) -> GroupEstimate:
     """The batch estimator on the flight so far.
 
     Args:
@@ -107,12 +99,8 @@ def refitted(
         group: Axes that are fitted together.
         structure: Model structure, as `fit` takes it.
         seen: Excited time so far [s].
-        before: The last estimate of the regime, if its optima may take the place of a search.
     """
-    if before and before.estimates and seen < SEARCH * before.searched:
-        found = fit([flight], axes=group, structure=structure, near=before.fit.estimates)
-        return replace(group_estimate(found, group, seen), searched=before.searched)
-    return replace(group_estimate(fit([flight], axes=group, structure=structure), group, seen), searched=seen)
+    return group_estimate(fit([flight], axes=group, structure=structure), group, seen)
 
 
 def group_estimate(found: Fit, group: Sequence[str], seen: float) -> GroupEstimate:
