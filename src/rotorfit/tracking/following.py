@@ -36,14 +36,16 @@ from rotorfit.tracking.changes import (
     at_once,
     calm,
     compares,
+    earliest,
     in_any_air,
+    likeliest,
     looked_for,
     looked_together,
     pushes,
-    since_when,
 )
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
+from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.refits import (
     LONGEST,
     REFIT,
@@ -59,7 +61,18 @@ from rotorfit.tracking.refits import (
     stepped,
     together,
 )
-from rotorfit.tracking.scores import CHUNK, GUST_POWERS, WINDOWS, Doubts, Estimates, Scores, let_go, scores_of
+from rotorfit.tracking.scores import (
+    CHUNK,
+    FADES,
+    GUST_POWERS,
+    TRIMMED,
+    WINDOWS,
+    Doubts,
+    Estimates,
+    Scores,
+    let_go,
+    scores_of,
+)
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
@@ -73,6 +86,9 @@ REVISED = 1.0
 
 FALSE_ALARMS_PER_HOUR = 0.1
 """Promised rate of false alarms by default [1/h]."""
+
+SETTLES = 3 * FADES
+"""Time in which an autopilot learns a new weight or torque [s]: until then the vehicle obeys no law of ours."""
 
 RESTLESS = 0.97
 """Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
@@ -254,15 +270,20 @@ class Following:
             flight: The whole flight.
             now: Its end [s].
         """
+        alarms = [alarm for _, alarm in self._bounds]
+        begins = [
+            max((_learnt_from(alarm, axis) for axis in alarm.axes), default=0.0) if alarm else 0.0 for alarm in alarms
+        ]
+        untils = [*(alarm.since[0] for alarm in alarms[1:] if alarm), now]
+        fits = [self._fit(flight, begin, until) for begin, until in zip(begins, untils, strict=True)]
         ends = [*(since for since, _ in self._bounds[1:]), now]
-        fits = [self._fit(flight, since, end) for (since, _), end in zip(self._bounds, ends, strict=True)]
         regimes = tuple(
             Regime(since, end, found.model if found else None, alarm)
             for (since, alarm), end, found in zip(self._bounds, ends, fits, strict=True)
         )
         for axes, group in self._groups.items():
             part = _part(flight, group.since, now) if group.fitted else None
-            if fits[-1] and group.since == self._bounds[-1][0]:
+            if fits[-1] and group.since == begins[-1]:
                 self._groups[axes] = replace(group, fitted=group_estimate(fits[-1], axes, now))
             elif part:  # axes that did not change are still fitted to more than the last regime
                 self._groups[axes] = replace(group, fitted=refitted(part, axes, self._structure, now))
@@ -328,7 +349,7 @@ class Following:
             p_value = max(p_value, in_any_air(names, under, lengths))
             if p_value > threshold:
                 return None  # perhaps a gust
-        best, since = since_when(scored[names], first, looked[names])
+        best = likeliest(scored[names], first, looked[names])
         if not raised and not calm(scored[names], best.since, p_value):
             return None  # the air, not the vehicle
         if not raised and self._at_rest(flight, now, names, threshold):
@@ -340,6 +361,7 @@ class Following:
             if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
         ]
         named = diagnosis([(scored[names], best), *others])
+        when, since = changed_when(scored[names], earliest(scored[names], first))
         alarm = Alarm(
             time=now,
             axes=tuple(axis for axis in AXES if axis in named.axes),
@@ -352,15 +374,15 @@ class Following:
             revises=raised.alarm.time if raised else None,
         )
         self._raised = None if raised else _Raised(alarm, names, first, looked, before)
-        self._begin(alarm, best.since, before)
+        self._begin(alarm, when, before)
         return alarm
 
-    def _begin(self, alarm: Alarm, since: float, before: _Before) -> None:
+    def _begin(self, alarm: Alarm, when: float, before: _Before) -> None:
         """Begins a regime for the axes of an alarm; an axis that only its first version named is as it was before."""
-        changed = dict.fromkeys(alarm.axes, since)
-        self._known = {axis: time for axis, time in self._known.items() if axis not in changed}
-        self._since, self._changed = {**before.since, **changed}, {**before.changed, **changed}
-        self._bounds = sorted([*before.bounds, (since, alarm)], key=lambda bound: bound[0])
+        self._known = {axis: time for axis, time in self._known.items() if axis not in alarm.axes}
+        self._since = {**before.since, **{axis: _learnt_from(alarm, axis) for axis in alarm.axes}}
+        self._changed = {**before.changed, **dict.fromkeys(alarm.axes, when)}
+        self._bounds = sorted([*before.bounds, (when, alarm)], key=lambda bound: bound[0])
         groups = dict(self._groups)
         for axes, group in groups.items():
             known = before.groups.get(axes, group)
@@ -368,7 +390,7 @@ class Following:
                 laws = {axis: known.fitted.fit.model.axes[axis].structure for axis in known.fitted.estimates}
                 self._laws |= {axis: law for axis, law in laws.items() if axis in alarm.axes}
             if set(axes) & set(alarm.axes):
-                groups[axes] = Group(axes, since, answers=group.answers)
+                groups[axes] = Group(axes, max(self._since[axis] for axis in axes), answers=group.answers)
             elif group.since != known.since:
                 groups[axes] = known
         self._groups = groups
@@ -493,6 +515,12 @@ class Following:
             ahead=motion.ahead,
             ahead_ci95=_around(motion.ahead, motion.ahead_error),
         )
+
+
+def _learnt_from(alarm: Alarm, axis: str) -> float:
+    """Time from which a flight tells of a changed axis [s]: a new weight or torque has been learnt by then."""
+    pushed = axis in TRIMMED and alarm.cause in ("payload", "thrust")
+    return alarm.since[1] + (SETTLES if pushed else 0.0)
 
 
 def next_look(due: float, now: float, every: float = EVERY) -> float:
