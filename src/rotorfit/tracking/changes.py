@@ -62,8 +62,11 @@ BEFORE, CALM_BEFORE, CALM_AFTER = 5.0, 3.0, 2.0
 """Time before a change that is checked for calm [s]; largest excess of the mean squared innovation there over that of
 the regime, in standard errors; largest mean squared innovation after the change, over that of the regime."""
 
-SURE = 1e-12
+SURE = 1e-10
 """p-value below which no calm is required after a change."""
+
+CORRELATED = 0.5
+"""Power to which the likelihood of a strength of gusts is taken: innovations in rising gusts are correlated."""
 
 TOGETHER = 0.5
 """Changes of several axes within this time count as one [s]."""
@@ -351,7 +354,7 @@ def in_any_air(names: tuple[str, ...], under: Sequence[Sequence[Scores]], length
         lengths: Lengths of the windows that are tested [s].
     """
     air = next(scores.air for scores in under[0] if scores.names == names)
-    weight, least = np.exp(air - air.max()), []
+    weight, least = np.exp(CORRELATED * (air - air.max())), []
     for scored in under:
         found = [one.p_value for one in looked_together(scored, lengths)[0][names] if pushes(names, one)]
         least.append(min(found, default=1.0))

@@ -57,7 +57,7 @@ def _with_push(scores: Scores, rows: Array, at: int) -> Array:
 
 def _unexplained(products: Array) -> Array:
     """Sums of squares of the first column that the others leave, from products of shape (W, n, n), shape (W,)."""
-    scale = np.sqrt(np.diagonal(products, axis1=1, axis2=2)[:, 1:])
+    scale = np.sqrt(np.maximum(np.diagonal(products, axis1=1, axis2=2)[:, 1:], 0.0))
     scale[scale == 0] = 1.0
     value, vector = np.linalg.eigh(products[:, 1:, 1:] / (scale[:, :, None] * scale[:, None, :]))
     along = np.einsum("wik,wi->wk", vector, products[:, 0, 1:] / scale)
