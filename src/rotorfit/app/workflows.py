@@ -22,13 +22,13 @@ from rotorfit.assessment.validation import dynamics_from_model, to_mapping, vali
 from rotorfit.core.card import Card
 from rotorfit.core.display import FrameLibrary, columns_of, frame
 from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
-from rotorfit.core.finding import by_gravity
+from rotorfit.core.finding import by_gravity, frozen_axes
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
-from rotorfit.core.model import Model, with_findings
+from rotorfit.core.model import Model, with_findings, with_frozen
 from rotorfit.core.plain import line_of
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
@@ -186,10 +186,12 @@ def fit_logs(
         told
         for flight, fitted in zip(flights, result.flights, strict=True)
         for told in flight.findings
-        if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+        if told.axis is None
+        or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+        or set(frozen_axes([told])) & set(axes)
     ]  # without axes that a flight merely holds
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
-    return replace(result, model=with_findings(result.model, findings))
+    return replace(result, model=with_frozen(with_findings(result.model, findings), axes))
 
 
 def leave_one_out_logs(

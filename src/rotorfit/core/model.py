@@ -22,6 +22,7 @@ from rotorfit.core.display import (
     text_table,
 )
 from rotorfit.core.errors import ModelError
+from rotorfit.core.finding import FROZEN, MEND, frozen_axes
 from rotorfit.core.frames import AXES, Array
 from rotorfit.version import __version__
 
@@ -241,7 +242,8 @@ class Axis:
         delay: tau [s].
         stderr: Coefficient name to standard error.
         ci95: Coefficient name to 95 % interval for the vehicle; an open end is None.
-        status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `refuted`, `diverged` or `too_short`.
+        status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `refuted`, `diverged`, `too_short` or
+            `pose_frozen`.
         trim: Constant acceleration in the heading frame, one per flight [m/s^2, yaw rad/s^2]; None where a flight was
             not used for this axis.
         noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance;
@@ -466,6 +468,22 @@ def with_findings(model: Model, findings: Sequence[Finding]) -> Model:
     return replace(model, findings=tuple(findings))
 
 
+def with_frozen(model: Model, axes: Sequence[str] = AXES) -> Model:
+    """A copy in which what a frozen pose keeps from being known has the status `pose_frozen`.
+
+    Args:
+        model: The model with its findings.
+        axes: The axes that were fitted.
+    """
+    served = {axis for flight in model.flights for axis in flight.axes if axis in axes}
+    still = {axis: model.axes[axis] for axis in frozen_axes(model.findings) if axis in served}
+    told = {
+        axis: replace(one, status={name: status if status == "ok" else FROZEN for name, status in one.status.items()})
+        for axis, one in still.items()
+    }
+    return replace(model, axes={**model.axes, **told})
+
+
 def predictor_of(model: Model, axis: str) -> Predictor:
     """The predictor of an axis.
 
@@ -474,10 +492,14 @@ def predictor_of(model: Model, axis: str) -> Predictor:
     """
     predictor = model.axes[axis].predictor
     if predictor is None:
-        raise ModelError(
-            f"the model has no numbers for {axis} ({model.axes[axis].status['input']}): fit a flight that moves it"
-        )
+        raise ModelError(f"the model has no numbers for {axis} ({unknown_why(model, axis)}")
     return predictor
+
+
+def unknown_why(model: Model, axis: str) -> str:
+    """Status of an axis without numbers, and what to do."""
+    status = model.axes[axis].status["input"]
+    return f"{status}): {MEND if status == FROZEN else 'fit a flight that moves it'}"
 
 
 def first_order(model: Model, axis: str) -> Weighed:

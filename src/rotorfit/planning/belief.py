@@ -11,6 +11,7 @@ import numpy as np
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
+from rotorfit.core.finding import MEND, frozen_axes
 from rotorfit.core.flight_plan import Four
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import USUAL_TRIM
@@ -216,6 +217,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
     if richer:
         laws = ", ".join(dict.fromkeys(richer.values()))
         notes.append(f"{', '.join(richer)}: planned for the first-order law with a delay, not for {laws}")
+    if frozen := frozen_axes(model.findings):
+        notes.insert(0, f"{', '.join(frozen)}: {MEND}")
     covariance = _known_covariance(model, values.ravel(), covariance)
     truth = replace(
         with_coefficients(rest.truth, values.ravel()),
