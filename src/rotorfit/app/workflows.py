@@ -22,13 +22,14 @@ from rotorfit.assessment.validation import dynamics_from_model, to_mapping, vali
 from rotorfit.core.card import Card
 from rotorfit.core.display import FrameLibrary, columns_of, frame
 from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
-from rotorfit.core.finding import by_gravity, frozen_axes
+from rotorfit.core.finding import by_gravity
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes, with_frozen
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
-from rotorfit.core.model import Model, with_findings, with_frozen
+from rotorfit.core.model import Model, with_findings
 from rotorfit.core.plain import line_of
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation

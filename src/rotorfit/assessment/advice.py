@@ -12,9 +12,10 @@ import numpy as np
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
 from rotorfit.assessment.law_findings import disagreement_findings, law_findings
 from rotorfit.assessment.prior_influence import prior_findings
-from rotorfit.core.finding import Finding, by_gravity, frozen_axes
+from rotorfit.core.finding import Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import Axis
 from rotorfit.core.results import Fit

@@ -2,10 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 
-from rotorfit.core.finding import FROZEN
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import given_by_law
-from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Model
+from rotorfit.core.model import COEFFICIENTS, FROZEN, Axis, Combination, Model
 from rotorfit.estimation.identifiability import WIDEST_INPUT
 from rotorfit.estimation.methods import label_of
 

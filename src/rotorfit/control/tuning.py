@@ -25,10 +25,10 @@ from rotorfit.control.robustness import (
 )
 from rotorfit.core.display import html_table, number, text_table
 from rotorfit.core.errors import ModelError
-from rotorfit.core.finding import MEND, frozen_axes
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY
-from rotorfit.core.model import COEFFICIENTS, Model, first_order, unknown_why
+from rotorfit.core.model import COEFFICIENTS, MEND, Model, first_order, unknown_why
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale

@@ -5,21 +5,10 @@ from dataclasses import dataclass
 from html import escape
 from typing import Literal
 
-from rotorfit.core.frames import AXES
-
 Severity = Literal["info", "warning", "error"]
 
 DAMAGED = "log_damaged"
 """The finding that is shown before all others: it concerns missing data."""
-
-FROZEN = "pose_frozen"
-"""The finding about a coordinate of the pose that stands still while it is commanded."""
-
-SUFFERING = {"x": ("x", "y"), "y": ("y", "x"), "z": ("z",), "yaw": ("yaw", "x", "y")}
-"""Coordinate of the pose to the axes that it serves, its own first: the heading turns x and y into each other."""
-
-MEND = "the pose stood still under commands: first do what the finding pose_frozen says"
-"""What to do about an axis of `frozen_axes`: more flights alone would not help."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +35,6 @@ class Finding:
         where = f" ({self.axis})" if self.axis else ""
         said = f"{self.evidence}; {self.effect}; {self.remedy}"
         return f"<b>{self.severity}</b> <code>{escape(self.code)}</code>{where}: {escape(said)}"
-
-
-def frozen_axes(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """The axes whose coefficients suffer from a frozen pose."""
-    still = {axis for one in findings if one.code == FROZEN and one.axis for axis in SUFFERING[one.axis]}
-    return tuple(axis for axis in AXES if axis in still)
 
 
 def by_gravity(findings: Iterable[Finding]) -> tuple[Finding, ...]:

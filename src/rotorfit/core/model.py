@@ -22,7 +22,6 @@ from rotorfit.core.display import (
     text_table,
 )
 from rotorfit.core.errors import ModelError
-from rotorfit.core.finding import FROZEN, MEND, frozen_axes
 from rotorfit.core.frames import AXES, Array
 from rotorfit.version import __version__
 
@@ -40,6 +39,12 @@ COEFFICIENTS = ("input", "damping", "delay")
 
 STRUCTURE = "first_order_delay"
 """Name of the default law, `laws.FIRST_ORDER_DELAY`."""
+
+FROZEN = "pose_frozen"
+"""Status of what a frozen pose keeps from being known, and the finding about that coordinate of the pose."""
+
+MEND = "the pose stood still under commands: first do what the finding pose_frozen says"
+"""What to do about an axis that suffers from a frozen pose: more flights alone would not help."""
 
 Interval = tuple[float | None, float | None]
 
@@ -466,22 +471,6 @@ class Model:
 def with_findings(model: Model, findings: Sequence[Finding]) -> Model:
     """A copy of the model with these findings."""
     return replace(model, findings=tuple(findings))
-
-
-def with_frozen(model: Model, axes: Sequence[str] = AXES) -> Model:
-    """A copy in which what a frozen pose keeps from being known has the status `pose_frozen`.
-
-    Args:
-        model: The model with its findings.
-        axes: The axes that were fitted.
-    """
-    served = {axis for flight in model.flights for axis in flight.axes if axis in axes}
-    still = {axis: model.axes[axis] for axis in frozen_axes(model.findings) if axis in served}
-    told = {
-        axis: replace(one, status={name: status if status == "ok" else FROZEN for name, status in one.status.items()})
-        for axis, one in still.items()
-    }
-    return replace(model, axes={**model.axes, **told})
 
 
 def predictor_of(model: Model, axis: str) -> Predictor:

@@ -6,8 +6,9 @@ A check is a function `findings(recording) -> Iterator[Finding]` in a module of 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from rotorfit.core.finding import DAMAGED, Finding, by_gravity, frozen_axes
+from rotorfit.core.finding import DAMAGED, Finding, by_gravity
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.log import Log
 from rotorfit.diagnosis.clock_checks import clock_findings
 from rotorfit.diagnosis.command_checks import command_findings

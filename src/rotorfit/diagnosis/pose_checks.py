@@ -5,9 +5,10 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from rotorfit.core.display import counted
-from rotorfit.core.finding import FROZEN, SUFFERING, Finding
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, POSE_UNITS, UNIT_SCALE, Array, Mask
+from rotorfit.core.frozen import SUFFERING
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.recording import Recording
 from rotorfit.dynamics.compiled import kernel
@@ -155,7 +156,7 @@ def _frozen(flight: Flight, frozen: Mapping[str, tuple[float, float]]) -> Iterat
         suffering = [other for other in SUFFERING[axis][1:] if other in flight.axes]
         others = ",".join(other for other in flight.axes if other not in (axis, *suffering))
         yield Finding(
-            FROZEN,
+            "pose_frozen",
             "warning",
             f"{axis} of the pose is frozen {where}: exactly {value:.4g} {POSE_UNITS[axis]} for {end - start:.1f} s, "
             f"while it is commanded{f' and the pose changes in {moving}' if moving else ''}",

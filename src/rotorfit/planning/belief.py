@@ -11,12 +11,12 @@ import numpy as np
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
-from rotorfit.core.finding import MEND, frozen_axes
 from rotorfit.core.flight_plan import Four
 from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.core.limits import Meaning, expectation, meaning_of
-from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Model, first_order
+from rotorfit.core.model import COEFFICIENTS, MEND, STRUCTURE, Model, first_order
 from rotorfit.simulation.paper_vehicle import Truth
 from rotorfit.simulation.published import PUBLISHED, vehicle_of
 

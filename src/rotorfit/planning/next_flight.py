@@ -7,10 +7,9 @@ import numpy as np
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
-from rotorfit.core.finding import MEND
 from rotorfit.core.flight_plan import Plan, Space
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.model import COEFFICIENTS, MEND
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.planning.belief import Belief
 from rotorfit.planning.plan_flight import SHORTEST, TOGETHER, plan_with_information

@@ -10,9 +10,9 @@ from typing import Any
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
-from rotorfit.core.finding import frozen_axes
 from rotorfit.core.flight_plan import Plan, Space
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
 from rotorfit.files.cards import card_from_mapping, load_card

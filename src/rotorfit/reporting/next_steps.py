@@ -8,9 +8,9 @@ import numpy as np
 
 from rotorfit.assessment.case import Case
 from rotorfit.core.errors import PlanError
-from rotorfit.core.finding import FROZEN, frozen_axes
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.frozen import frozen_axes
+from rotorfit.core.model import COEFFICIENTS, FROZEN, Model
 from rotorfit.estimation.methods import maximises_likelihood
 from rotorfit.planning.belief import belief_from_model
 from rotorfit.planning.next_flight import wanted_errors, worst_group

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from rotorfit.assessment.paired import QUANTITIES
 from rotorfit.assessment.rows import LENGTH, SPEED, HorizonErrors
 from rotorfit.assessment.whiteness import FINDING_LEVEL, LEVEL, narrows_intervals
-from rotorfit.core.finding import FROZEN, Finding
+from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Axis, Model
+from rotorfit.core.model import FROZEN, Axis, Model
 from rotorfit.core.residuals import ResidualTests
 from rotorfit.core.results import HORIZONS, Difference, PairedTest
 from rotorfit.reporting.words import and_list, chance, figure, sentences

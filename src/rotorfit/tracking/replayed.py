@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.frozen import with_frozen
 from rotorfit.core.laws import AVERAGED
-from rotorfit.core.model import with_findings, with_frozen
+from rotorfit.core.model import with_findings
 from rotorfit.core.tracked import Track, Tracked
 from rotorfit.tracking.earlier import Earlier, check_earlier
 from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, Following
