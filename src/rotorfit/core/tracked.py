@@ -281,7 +281,8 @@ class Regime:
     Attributes:
         start: Start [s].
         end: End [s].
-        model: Model fitted to it; None where it was too short.
+        model: Its model: each axis is fitted to all of the flight around the regime in which it did not change. None
+            where that is too short for every axis.
         begun_by: The alarm at its start; None for the first.
     """
 

@@ -9,7 +9,7 @@ revised: its regime is then as if it had been raised like that. Only then it say
 the size of a change and its time explain each other, and no interval of either alone holds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -83,6 +83,9 @@ BEGINS = 0.1
 ENOUGH, FEW = 11.0, 20
 """Time from which on a fit tests whether an axis is only held [s]: `position_loop.LEAST` averages. Before that the test
 is made at each look, with this number of averages."""
+
+Span = tuple[float, float]
+"""Start and end [s]."""
 
 HELD = "its commands only answer its motion"
 
@@ -250,28 +253,45 @@ class Following:
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
         """The final state, after a last fit of each group, and the regimes with their models.
 
+        A change of some axes ends nothing for the others: each group is fitted to all of the flight around a regime in
+        which it did not change. So the model of the last regime is that of the final state.
+
         Args:
             flight: The whole flight.
             now: Its end [s].
         """
+        groups = groups_of([flight], flight.axes) or [AXES]
         ends = [*(since for since, _ in self._bounds[1:]), now]
-        fits = [self._fit(flight, since, end) for (since, _), end in zip(self._bounds, ends, strict=True)]
+        spans = [(since, end) for (since, _), end in zip(self._bounds, ends, strict=True)]
+        unchanged = [{axes: self._unchanged(axes, span, now) for axes in groups} for span in spans]
+        fitted: dict[Span, set[str]] = {}
+        for each in unchanged:
+            for axes, span in each.items():
+                fitted[span] = fitted.get(span, set()) | set(axes)
+        fits = {span: self._fit(flight, span, AXES if len(fitted) == 1 else axes) for span, axes in fitted.items()}
+        parts = [
+            {axes: group_estimate(found, axes, now) for axes, span in each.items() if (found := fits[span])}
+            for each in unchanged
+        ]
         regimes = tuple(
-            Regime(since, end, found.model if found else None, alarm)
-            for (since, alarm), end, found in zip(self._bounds, ends, fits, strict=True)
+            Regime(*span, together(list(each.values())), alarm)
+            for span, each, (_, alarm) in zip(spans, parts, self._bounds, strict=True)
         )
-        for axes, group in self._groups.items():
-            part = _part(flight, group.since, now) if group.fitted else None
-            if fits[-1] and group.since == self._bounds[-1][0]:
-                self._groups[axes] = replace(group, fitted=group_estimate(fits[-1], axes, now))
-            elif part:  # axes that did not change are still fitted to more than the last regime
-                self._groups[axes] = replace(group, fitted=refitted(part, axes, self._structure, now))
+        last = {axes: self._groups.get(axes, Group(axes, unchanged[-1][axes][0])) for axes in groups}
+        self._groups = {axes: replace(one, fitted=parts[-1].get(axes, one.fitted)) for axes, one in last.items()}
         return replace(self._tracked(flight, now, ()), landed=True), regimes
 
-    def _fit(self, flight: Flight, since: float, end: float) -> Fit | None:
-        """The fit of a regime; None if it is too short."""
-        part = _part(flight, since, end)
-        return fit([part], structure=self._structure) if part and part.duration >= LEAST_TIME else None
+    def _unchanged(self, axes: Sequence[str], regime: Span, now: float) -> Span:
+        """The time around a regime in which none of some axes changed [s]."""
+        changes = [since for since, alarm in self._bounds if alarm and set(alarm.axes) & set(axes)]
+        start, end = regime
+        return max((t for t in changes if t <= start), default=0.0), min((t for t in changes if t >= end), default=now)
+
+    def _fit(self, flight: Flight, span: Span, axes: Collection[str]) -> Fit | None:
+        """The fit of some axes to a stretch of the flight [s]; None if it is too short."""
+        part = _part(flight, *span)
+        wanted = [axis for axis in AXES if axis in axes]
+        return fit([part], axes=wanted, structure=self._structure) if part and part.duration >= LEAST_TIME else None
 
     def _looked(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
         """A group after this look."""
