@@ -144,6 +144,7 @@ def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> Non
     flight, following = known_flight(), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         state = following.look(part, now)
+    following._watched = dict.fromkeys(("z", "yaw"), 10.0)
     before = _Before(following._since, following._changed, following._bounds, following._groups)
     first = Alarm(12.5, ("z", "yaw"), "thrust", (11.0, 12.0), {}, 0.9, 1e-9, "because")
     following._begin(first, 11.5, before)
@@ -153,6 +154,8 @@ def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> Non
 
     assert state.axes["yaw"].knowledge == "known"
     assert learning["yaw"].state == learning["z"].state == "changed at 11.5 s, learning"
+    assert (learning["yaw"].watched, learning["z"].watched) == (None, None)
+    assert (again.axes["yaw"].watched, again.axes["z"].watched) == (10.0, None)  # a new regime is watched anew
     assert again.axes["yaw"].state == "known"
     assert again.axes["z"].state == "changed at 11.6 s, learning"
     assert (again.regime, again.regime_start) == (1, 11.6)

@@ -330,11 +330,12 @@ class Following:
             return None  # no window has a rest that is long enough
         known = _renewed(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
+        watched = self._watched_again()
         looked, count = looked_together(list(scored.values()), lengths)
         for scores in scored.values():
             axes = {name.partition(".")[0] for name in scores.names}
-            if not axes <= self._watched.keys() and compares(scores, lengths):
-                self._watched = {**dict.fromkeys(axes, now), **self._watched}
+            if not axes <= watched.keys() and compares(scores, lengths):
+                self._watched = {**self._watched, **dict.fromkeys(axes - watched.keys(), now)}
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
         if raised:
@@ -374,6 +375,11 @@ class Following:
         self._raised = None if raised else _Raised(alarm, names, first, looked, before)
         self._begin(alarm, best.since, before)
         return alarm
+
+    def _watched_again(self) -> dict[str, float]:
+        """Axis to the time of the first test since its last alarm that could have raised another [s]."""
+        raised = {axis: alarm.raised for _, alarm in self._bounds if alarm for axis in alarm.axes}
+        return {axis: time for axis, time in self._watched.items() if time > raised.get(axis, 0.0)}
 
     def _begin(self, alarm: Alarm, since: float, before: _Before) -> None:
         """Begins a regime for the axes of an alarm; an axis that only its first version named is as it was before."""
@@ -497,7 +503,7 @@ class Following:
             if fitted and axis in fitted.estimates and structure != law:
                 state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
-        out = TrackedAxis(knowledge, state, watched=self._watched.get(axis))
+        out = TrackedAxis(knowledge, state, watched=self._watched_again().get(axis))
         if fitted and report:
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure
