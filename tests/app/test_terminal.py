@@ -154,12 +154,8 @@ def test_another_law_is_told_when_it_comes_and_once_more_where_it_came_at_the_en
     )
     states = Tracked(11.0, {"x": plain}), Tracked(12.0, {"x": lagged}), Tracked(12.4, {"x": plain}, landed=True)
     lines = [str(line) for pair in pairwise(states) for line in news(*pair)]
-    assert lines[0].startswith(
-        "   12.0 s  x    known (law first_order_delay_lag from here on, first_order_delay before): "
-    )
-    assert lines[1].startswith(
-        "   12.4 s  x    known (law first_order_delay from here on, first_order_delay_lag before): "
-    )
+    assert lines[0].startswith("   12.0 s  x    known (law first_order_delay_lag, before first_order_delay): ")
+    assert lines[1].startswith("   12.4 s  x    known (law first_order_delay, before first_order_delay_lag): ")
 
     show(track_view(Track(states, ())))
     said = "x: the last fit is under law first_order_delay, numbers told before it are under first_order_delay_lag"

@@ -327,6 +327,12 @@ class Tracked:
         """The commanded axes about which no test could raise an alarm yet, since the start or since their change."""
         return tuple(name for name, one in self.axes.items() if one.watched is None and UNMOVED not in one.state)
 
+    @property
+    def words(self) -> str:
+        """The state of each axis in a few words, and the axes that are not yet watched; empty without axes."""
+        axes = ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in self.axes.items())
+        return axes + (f"; not yet watched for changes: {', '.join(self.unwatched)}" if self.unwatched else "")
+
     def to_mapping(self) -> dict[str, Any]:
         """The state as a line of JSON holds it."""
         return {

@@ -334,7 +334,7 @@ class Following:
         looked, count = looked_together(list(scored.values()), lengths)
         for scores in scored.values():
             axes = {name.partition(".")[0] for name in scores.names}
-            if not axes <= watched.keys() and compares(scores, lengths):
+            if not raised and not axes <= watched.keys() and compares(scores, lengths):
                 self._watched = {**self._watched, **dict.fromkeys(axes - watched.keys(), now)}
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]

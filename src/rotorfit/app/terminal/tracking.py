@@ -30,7 +30,8 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
         new = axis.knowledge != "learning" or axis.earlier if earlier is None else earlier.knowledge != axis.knowledge
         other = earlier is not None and other_law(earlier, axis)
         if new or other:
-            law = f" (law {axis.structure} from here on, {earlier.structure} before)" if earlier and other else ""
+            told = earlier and other and "(law " not in axis.state  # after a change the state itself names both
+            law = f" (law {axis.structure}, before {earlier.structure})" if earlier and told else ""
             yield _line(state.time, name, f"{axis.state}{law}{_numbers(axis)}")
     if begun := _begun(before, state):
         yield _line(state.time, ", ".join(begun), "watched for changes from here on")
@@ -78,9 +79,7 @@ def _times(name: str, change: float) -> str:
 
 def line_of(state: Tracked) -> str:
     """The state in one line."""
-    axes = ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
-    blind = f"; not yet watched for changes: {', '.join(state.unwatched)}" if state.unwatched else ""
-    return f"{state.time:.0f} s: {axes or 'listening'}{blind}  (Ctrl-C ends)"
+    return f"{state.time:.0f} s: {state.words or 'listening'}  (Ctrl-C ends)"
 
 
 def alarm_view(alarm: Alarm) -> View:
