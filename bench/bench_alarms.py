@@ -34,7 +34,8 @@ from changing_flights import CAUSES, ChangingFlight, Scenario, changing_flight
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Alarm
-from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, REVISED, Following, scores_of_groups
+from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, REVISED, Following
+from rotorfit.tracking.groups import scores_of_groups
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.refits import renewed
 from rotorfit.tracking.replayed import growing, until
