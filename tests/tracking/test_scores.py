@@ -69,7 +69,7 @@ def test_an_answer_may_differ_from_the_law_by_what_no_pilot_would_notice() -> No
     (scores,) = scores_of([(one, {"z": {"delay": 0.1}})])
 
     assert dict(zip(scores.names, scores.doubt * scores.scale, strict=True)) == pytest.approx(
-        {"z.input": 0.03, "z.damping": 0.0, "z.delay": 0.1, "z.trim": 0.03}
+        {"z.input": 0.015, "z.damping": 0.0, "z.delay": 0.1, "z.trim": 0.015}
     )
 
 

@@ -43,7 +43,7 @@ out."""
 EXPECTED_OTHER = 0.5
 """As `EXPECTED`, for any other parameter of a law, in the estimator's coordinate."""
 
-LEAST_DOUBT = {"input": 0.03, "delay": 0.0025, "trim": 0.03}
+LEAST_DOUBT = {"input": 0.015, "delay": 0.002, "trim": 0.015}
 """Standard deviation by which an answer differs from the law without a change, whatever the tests of the law found, in
 the units of `EXPECTED`: in still air the poses tell changes that no pilot and no controller would notice, and the
 braking of x and y, a tilt or a stale command moves z by as much."""
