@@ -14,7 +14,6 @@ from rotorfit.files.models import load, save
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 from rotorfit.tracking import following as following_module
 from rotorfit.tracking.following import Following, _Before
-from rotorfit.tracking.regimes import SETTLES
 from rotorfit.tracking.refits import (
     REFIT,
     REFIT_SETTLED,
@@ -27,6 +26,7 @@ from rotorfit.tracking.refits import (
     renewed,
     stepped,
 )
+from rotorfit.tracking.regimes import SETTLES
 from rotorfit.tracking.replayed import growing, until
 from tracked_flights import LAW, known_flight
 

@@ -1,4 +1,4 @@
-"""The instant of a change: its interval holds it, for a change of coefficients and for a push that fades, soon or late."""
+"""The instant of a change: its interval holds it, for a shift of coefficients and for a push that fades."""
 
 from dataclasses import replace
 
