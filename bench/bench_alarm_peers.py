@@ -23,7 +23,7 @@ from itertools import product
 
 import numpy as np
 
-from bench_alarms import LEARNT, WITHIN, _alarm, _innovations, _learnt, scenarios
+from bench_alarms import LEARNT, WITHIN, _innovations, _learnt, _raised, scenarios
 from bench_track_peers import MEMORY, Told, by_paper, correlation, kalman, least_squares, signal_of
 from changing_flights import ChangingFlight, Scenario, changing_flight
 from rotorfit.core.frames import AXES
@@ -89,8 +89,8 @@ def of_flight(job: tuple[int, Scenario, str]) -> tuple[Course, float, float | No
     plain, flown = (changing_flight(seed, replace(scenario, cause=one)) for one in ("none", cause))  # type: ignore[arg-type]
     following, _ = _learnt(plain.flight, "averaged")
     told = course(flown, following)
-    alarm = _alarm(following, flown.flight, moment, WITHIN)
-    return told, moment, alarm[0] if alarm else None
+    raised = _raised(following, flown.flight, moment, WITHIN)
+    return told, moment, raised[0].time - moment if raised else None
 
 
 def sounded(courses: Sequence[tuple[Course, float, float | None]]) -> dict[str, list[float]]:

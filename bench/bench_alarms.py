@@ -9,7 +9,7 @@ loop. 60 s of learning; the change comes within the second after. Flights with d
 then, so each is learnt once.
 
 - found: share detected within 20 s (a fading battery: 65 s); time from the change to the alarm, median and 95 %; the
-  cause that was named, at once and by the revision.
+  cause that was named, at once and by the revision; how often the interval of its instant holds the truth.
 - knowing: a test that knows course and size of the change, but not its time. It correlates with the innovations of the
   changed flight less those of the same flight unchanged, both under the estimate before the change, once a second, at a
   threshold with the same rate of false alarms over the same number of windows. What it does not find cannot be found.
@@ -34,7 +34,8 @@ from changing_flights import CAUSES, ChangingFlight, Scenario, changing_flight
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Alarm
-from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, REVISED, Following, scores_of_groups
+from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, REVISED, Following
+from rotorfit.tracking.groups import scores_of_groups
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.refits import renewed
 from rotorfit.tracking.replayed import growing, until
@@ -62,6 +63,7 @@ class Told:
         found: Time to the alarm [s]; None where none was raised.
         first: As what, when it was raised; None likewise.
         named: As what in the end; None likewise.
+        dated: Whether the interval of its instant holds the truth, at once and in the end; None likewise.
         knowing: Time of the test that knows, once a second [s]; None where it finds nothing.
         often: The same as often as the tracker glances.
         early: False alarms before.
@@ -75,6 +77,7 @@ class Told:
     found: float | None
     first: str | None
     named: str | None
+    dated: tuple[bool, bool] | None
     knowing: float | None
     often: float | None
     early: int
@@ -95,11 +98,11 @@ def told_of(job: tuple[int, Scenario, Sequence[str], str]) -> list[Told]:
         base, following, early = learnt[plain]
         flown = changing_flight(seed, replace(scenario, cause=cause))  # type: ignore[arg-type]
         within = SLOW if cause == "battery" else WITHIN
-        alarm = _of_pose(flown, within) if cause in OF_THE_POSE else None
-        alarm = alarm or _alarm(copy.deepcopy(following), flown.flight, moment, within)
+        raised = _of_pose(flown, within) if cause in OF_THE_POSE else None
+        raised = raised or _raised(copy.deepcopy(following), flown.flight, moment, within)
         known = (None, None) if cause in OF_THE_POSE else _knowing(following, base, flown, moment, within)
         flight = scenario.vehicle, scenario.loop, scenario.gusts, seed
-        told.append(Told(cause, *flight, *(alarm or (None, None, None)), *known, early))
+        told.append(Told(cause, *flight, *_outcome(raised, moment), *known, early))
     return told
 
 
@@ -112,20 +115,31 @@ def _learnt(flight: Flight, structure: str) -> tuple[Following, int]:
     return following, alarms
 
 
-def _alarm(following: Following, flight: Flight, moment: float, within: float) -> tuple[float, str, str] | None:
-    """Time and names of the first alarm after the change: when it was raised, and when it was revised."""
+def _outcome(
+    raised: tuple[Alarm, Alarm] | None, moment: float
+) -> tuple[float | None, str | None, str | None, tuple[bool, bool] | None]:
+    """Time to an alarm, its names and whether its instants hold, at once and in the end."""
+    if raised is None:
+        return None, None, None, None
+    first, last = raised
+    held = [one.since[0] <= moment <= one.since[1] for one in raised]
+    return first.time - moment, first.cause, last.cause, (held[0], held[1])
+
+
+def _raised(following: Following, flight: Flight, moment: float, within: float) -> tuple[Alarm, Alarm] | None:
+    """The first alarm after the change, as it was raised and as it was revised."""
     first: Alarm | None = None
     for part, now in growing(flight, LEARNT + GLANCE, GLANCE):
         if now > moment + within + (REVISED if first else 0.0):
             break
         for alarm in state.alarms if (state := following.follow(part, now)) else ():
             if first and alarm.revises == first.time:
-                return first.time - moment, first.cause, alarm.cause
+                return first, alarm
             first = first or alarm
-    return (first.time - moment, first.cause, first.cause) if first else None
+    return (first, first) if first else None
 
 
-def _of_pose(flown: ChangingFlight, within: float) -> tuple[float, str, str] | None:
+def _of_pose(flown: ChangingFlight, within: float) -> tuple[Alarm, Alarm] | None:
     """The same of what the pose raises by itself, sample by sample."""
     room, moment = flown.room, flown.scenario.time
     growing = GrowingFlight(flown.flight.card, origin=0)
@@ -141,7 +155,7 @@ def _of_pose(flown: ChangingFlight, within: float) -> tuple[float, str, str] | N
     for sample in sorted(samples, key=lambda one: one.received):
         growing.add(sample)
         for alarm in growing.alarms():
-            return sample.received / 1e9 - moment, alarm.cause, alarm.cause
+            return alarm, alarm
     return None
 
 
@@ -225,6 +239,10 @@ def report(told: Sequence[Told]) -> None:
         for cause in dict.fromkeys(one.cause for one in told):
             count = Counter(getattr(one, when) for one in told if one.cause == cause)
             print(f"{cause:10}" + "".join(f"{count[name]:12}" for name in names))
+    print(f"\n{'instant':10}{'at once':>12}{'in the end':>12}")
+    for cause in dict.fromkeys(one.cause for one in told):
+        held = [one.dated for one in told if one.cause == cause and one.dated]
+        print(f"{cause:10}" + "".join(f"{sum(some):6} of {len(held):2}" for some in zip(*held, strict=True)))
     seen = {(one.seed, one.vehicle, one.loop, one.gusts, one.cause == "limits"): one.early for one in told}
     print(f"\n{sum(seen.values())} false alarms before, in {len(seen) * LEARNT / 3600:.2f} h", flush=True)
 

@@ -242,7 +242,15 @@ def test_every_note_of_the_code_is_in_the_documents() -> None:
 def test_every_status_that_a_coefficient_can_have_is_in_the_documents() -> None:
     statuses = re.findall(r"^\| `(\w+)` \|", section(FINDINGS, "Statuses"), re.MULTILINE)
 
-    assert sorted(statuses) == ["diverged", "not_excited", "not_identifiable", "ok", "refuted", "too_short"]
+    assert sorted(statuses) == [
+        "diverged",
+        "not_excited",
+        "not_identifiable",
+        "ok",
+        "pose_frozen",
+        "refuted",
+        "too_short",
+    ]
     assert {status for status in statuses if f"`{status}`" not in METHOD} == set()
 
 

@@ -50,7 +50,9 @@ def test_the_page_names_whom_it_follows_and_says_numbers_with_units_and_bounds(l
             "wind [rad/s²]0.00 (-0.16 to 0.16)",
         ]
     )
-    expect(page.locator(".now")).to_have_text("velocity -0.116 rad/s · gusts 0.0195 rad/s")
+    expect(page.locator(".now")).to_have_text(
+        "velocity -0.116 rad/s · gusts 0.0195 rad/s · not yet watched for changes"
+    )
     expect(page.locator(".rest")).to_have_text("lag 0.120 s (above 0.100)")
 
 

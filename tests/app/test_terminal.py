@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 from test_summary import axis, model
@@ -10,10 +11,10 @@ from test_summary import axis, model
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.app.terminal.tables import interval_text, number_text
-from rotorfit.app.terminal.tracking import alarm_view, news, track_view
+from rotorfit.app.terminal.tracking import alarm_view, line_of, news, track_view
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Combination, Mode, Model
-from rotorfit.core.tracked import Air, Alarm, Track, Tracked, TrackedAxis
+from rotorfit.core.tracked import UNMOVED, Air, Alarm, Track, Tracked, TrackedAxis
 
 
 def rows_of(shown: Model, capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
@@ -127,6 +128,40 @@ def test_the_end_of_a_track_says_from_when_on_each_axis_was_watched(capsys: pyte
     show(track_view(Track((Tracked(20.0, axes),), ())))
 
     assert "Watched for changes: x, y from 9.0 s on; z from 12.3 s on; yaw never\n" in capsys.readouterr().out
+
+
+def test_an_axis_that_changed_is_watched_anew_and_the_end_says_both_times(capsys: pytest.CaptureFixture[str]) -> None:
+    moments = ((9.0, None), (10.0, 9.5), (20.0, 9.5), (20.5, None), (32.0, 31.5), (40.0, 31.5))
+    states = tuple(Tracked(time, {"z": TrackedAxis("known", "known", watched=since)}) for time, since in moments)
+    show(track_view(Track(states, ())))
+    assert "Watched for changes: z from 9.5 s to 20.5 s and from 31.5 s on\n" in capsys.readouterr().out
+
+    told = [[str(line) for line in news(*pair)] for pair in pairwise(states)]
+    begins = "  z    watched for changes from here on"
+    assert told == [[f"   10.0 s{begins}"], [], [], [f"   32.0 s{begins}"], []]
+    assert line_of(states[0]) == "9 s: z known; not yet watched for changes: z  (Ctrl-C ends)"
+    assert line_of(states[1]) == "10 s: z known  (Ctrl-C ends)"
+    assert Tracked(9.0, {"yaw": TrackedAxis("not_excited", UNMOVED)}).unwatched == ()
+
+
+def test_another_law_is_told_when_it_comes_and_once_more_where_it_came_at_the_end(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    values = {"input": 5.0, "damping": 0.5, "delay": 0.1}
+    lagged, plain = (
+        TrackedAxis("known", "known", values, dict.fromkeys(values, (0.0, 9.0)), structure=law)
+        for law in ("first_order_delay_lag", "first_order_delay")
+    )
+    states = Tracked(11.0, {"x": plain}), Tracked(12.0, {"x": lagged}), Tracked(12.4, {"x": plain}, landed=True)
+    lines = [str(line) for pair in pairwise(states) for line in news(*pair)]
+    assert lines[0].startswith("   12.0 s  x    known (law first_order_delay_lag, before first_order_delay): ")
+    assert lines[1].startswith("   12.4 s  x    known (law first_order_delay, before first_order_delay_lag): ")
+
+    show(track_view(Track(states, ())))
+    said = "x: the last fit is under law first_order_delay, numbers told before it are under first_order_delay_lag"
+    assert said in " ".join(capsys.readouterr().out.split())
+    assert Track(states[:2], ()).laws_at_end == ()
+    assert Track((states[0], replace(states[2], axes={"x": replace(plain, earlier="a.json")})), ()).laws_at_end == ()
 
 
 def test_the_zero_of_a_law_stands_beside_the_lag_that_it_shortens(capsys: pytest.CaptureFixture[str]) -> None:

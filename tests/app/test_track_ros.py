@@ -113,7 +113,7 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Graph:
 
 def a_state(time: float, *alarms: Alarm) -> Tracked:
     values = {"input": 3.7, "damping": 0.2, "delay": None}
-    known = TrackedAxis("known", "known", values, {"input": (3.6, 3.8)}, wind=0.1, velocity=1.5)
+    known = TrackedAxis("known", "known", values, {"input": (3.6, 3.8)}, wind=0.1, velocity=1.5, watched=1.0)
     axes = {
         "x": known,
         "y": TrackedAxis("not_identifiable", "not identifiable"),
@@ -148,7 +148,7 @@ def test_diagnostics_say_what_is_known_of_each_axis(graph: Graph) -> None:
     RosTopics("ros2", "mavlink").state(a_state(5.0), NOW)
 
     assert graph.levels() == {
-        "rotorfit: vehicle": (Status.OK, "as it began"),
+        "rotorfit: vehicle": (Status.OK, "not yet watched for changes: y, z, yaw"),
         "rotorfit: x": (Status.OK, "known"),
         "rotorfit: y": (Status.WARN, "not identifiable"),
         "rotorfit: z": (Status.STALE, "holding (no excitation for 12 s)"),
@@ -159,6 +159,7 @@ def test_diagnostics_say_what_is_known_of_each_axis(graph: Graph) -> None:
     assert x.hardware_id == "mavlink"
     assert (values["input"], values["input low"], values["input high"]) == ("3.7", "3.6", "3.8")
     assert values["delay"] == "unknown"
+    assert values["watched from"] == "1"
 
 
 def test_an_alarm_is_an_error_for_a_while_and_a_warning_from_then_on(graph: Graph) -> None:
@@ -169,7 +170,7 @@ def test_an_alarm_is_an_error_for_a_while_and_a_warning_from_then_on(graph: Grap
         seen.append(graph.levels()["rotorfit: vehicle"])
 
     assert [level for level, _ in seen] == [Status.OK, Status.ERROR, Status.ERROR, Status.WARN]
-    assert seen[-1][1] == "changed at 1.0 to 2.0 s: payload on x"
+    assert seen[-1][1] == "changed at 1.0 to 2.0 s: payload on x; not yet watched for changes: y, z, yaw"
     assert len(graph.on("/rotorfit/alarm")) == 1
 
 
@@ -181,7 +182,10 @@ def test_a_revised_alarm_takes_the_place_of_the_first_and_is_no_new_error(graph:
     for state in (a_state(3.0, ALARM), a_state(4.0, revised), a_state(ALARM.time + ALARMING + 0.5)):
         topics.state(state, NOW)
 
-    assert graph.levels()["rotorfit: vehicle"] == (Status.WARN, "changed at 1.0 to 2.0 s: thrust on x")
+    assert graph.levels()["rotorfit: vehicle"] == (
+        Status.WARN,
+        "changed at 1.0 to 2.0 s: thrust on x; not yet watched for changes: y, z, yaw",
+    )
     assert [json.loads(one.data)["revises"] for one in graph.on("/rotorfit/alarm")] == [None, ALARM.time]
 
 

@@ -16,12 +16,18 @@ from flights import steps
 from logs import CARD, POSE, Csv, ran, said
 from rotorfit.app.cli import main
 from rotorfit.assessment.advice import findings_of_fit
+from rotorfit.assessment.summary import summary_of_model
+from rotorfit.control.tuning import tune
+from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array, world_from_heading
 from rotorfit.core.log import Log
+from rotorfit.core.model import predictor_of
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.logs import read
+from rotorfit.files.models import load
 from rotorfit.flights.assemble import flight_from_log
+from rotorfit.planning.request import Request, planned
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import (
     GAMMA_B,
@@ -283,6 +289,56 @@ def test_a_coordinate_that_is_frozen_while_commanded_is_told_and_not_what_follow
         (told,) = found.values()
         assert told["remedy"].startswith(remedy)
         assert numbers(told["evidence"])[-1] == pytest.approx(min(end, 40.0) - start, abs=0.1)
+        assert told["evidence"].endswith(f"the pose changes in {', '.join(other for other in POSE if other != axis)}")
+
+
+def test_axes_that_a_frozen_pose_spoils_are_sent_to_the_pose_and_not_to_another_flight(tmp_path: Path) -> None:
+    log, model = Csv(flown()), str(tmp_path / "model.json")
+    log.pose[:, 2] = 1.5
+    words = log.write(tmp_path)
+
+    ran("fit", *words, *LAW, "-o", model)
+    stored = load(Path(model))
+    assert set(stored.axes["z"].status.values()) == {"pose_frozen"}
+    assert {status for axis in ("x", "y", "yaw") for status in stored.axes[axis].status.values()} == {"ok"}
+    assert "the pose stands still while z is commanded" in summary_of_model(stored)
+    mend = "first do what the finding pose_frozen says"
+    assert tune(stored).refused == {
+        "z": f"the model has no numbers (pose_frozen): the pose stood still under commands: {mend}"
+    }
+    with pytest.raises(ModelError, match=f"no numbers for z .*{mend}"):
+        predictor_of(stored, "z")
+    plans, proposal = planned(Request(after=stored))
+    assert proposal is not None
+    assert proposal.reason.startswith("x, y: the worst known axes")
+    assert any(note.startswith("z: ") and note.endswith(mend) for note in plans[0].belief["notes"])
+    page = tmp_path / "report.html"
+    ran("report", model, words[0], "-o", str(page))
+    assert "Fly to learn z" not in page.read_text()
+    assert "Check that the card names the right column" in page.read_text()
+
+
+@pytest.mark.parametrize(("axis", "wrong", "others"), [("x", "y", "z,yaw"), ("yaw", "x and y", "z")])
+def test_a_frozen_x_or_yaw_spoils_what_the_heading_mixes_with_it(
+    tmp_path: Path, axis: str, wrong: str, others: str
+) -> None:
+    log = Csv(flown())
+    log.pose[:, POSE.index(axis)] = 0.0
+    words = log.write(tmp_path)
+
+    for found in (said("fit", *words, *LAW), said("fit", *words, *LAW, "--axes", "y,z")):
+        told = found["pose_frozen", axis]
+        assert told["effect"].endswith(f"; those of {wrong} are wrong where the vehicle turns")
+        assert told["remedy"].endswith(f"fit the other axes by --axes {others}")
+
+
+def test_a_pose_of_which_only_yaw_moves_is_frozen_in_the_other_three(tmp_path: Path) -> None:
+    log = Csv(flown())
+    log.pose[:, :3] = 0.0, 0.0, 1.0
+
+    found = said("info", *log.write(tmp_path))
+    assert found.keys() == {("pose_frozen", axis) for axis in ("x", "y", "z")}
+    assert all(each["evidence"].endswith("commanded and the pose changes in yaw") for each in found.values())
 
 
 def test_a_height_that_was_not_measured_or_is_not_commanded_is_not_frozen(tmp_path: Path) -> None:

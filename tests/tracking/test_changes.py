@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from rotorfit.core.limits import GRAVITY
-from rotorfit.tracking.changes import at_once, contrast, in_any_air, looked_for, looks, pushes, since_when
+from rotorfit.tracking.changes import at_once, contrast, in_any_air, likeliest, looked_for, looks, pushes
 from rotorfit.tracking.following import SHORT
+from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.scores import GUST_POWERS, Scores, scores_of
 from tracked_flights import LAW, alarms, known_flight, of_a_pilot
@@ -49,10 +50,11 @@ def test_coefficients_that_move_are_found_with_their_sign_and_their_time(scores:
     innovation[scores.time >= begun] -= scores.tested[scores.time >= begun, moved]  # by 0.3 of the logarithm, downwards
     changed = replace(scores, innovation=innovation)
     first = min(looked_for(changed), key=lambda one: one.p_value)
-    best, (low, high) = since_when(changed, first, looked_for(changed))
+    best = likeliest(changed, first, looked_for(changed))
+    _, (low, high) = changed_when(changed, begun - 3.0)
 
     assert first.p_value * looks(changed) < 1e-6
-    assert low - 0.5 <= begun <= high + 0.5
+    assert low <= begun <= high
     assert best.shift[moved] == pytest.approx(-1.0, abs=0.4)
 
 

@@ -9,11 +9,20 @@ import pytest
 from models import VEHICLE, model_of
 from rotorfit.control.tuning import tune
 from rotorfit.core.errors import CardError
-from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.limits import disagreement
+from rotorfit.core.model import COEFFICIENTS, Model, unknown_axis
 from rotorfit.core.tracked import Track, Tracked, TrackedAxis
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import from_mapping, save, to_mapping
-from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after, until_known
+from rotorfit.tracking.earlier import (
+    SHARE,
+    Earlier,
+    another_vehicle,
+    compared,
+    limits_of_earlier,
+    told_after,
+    until_known,
+)
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, tracked, until
 from rotorfit.tracking.tracker import Tracker
@@ -161,6 +170,28 @@ def test_a_model_whose_commands_mean_something_else_is_refused() -> None:
     card = card_from_mapping({**raw, "limits": {**raw["limits"], "tilt": 0.7}}, "another")
     with pytest.raises(CardError, match=r"model\.json: a command of 1 on x reaches .*convert it"):
         Tracker(card, LAW, after=Earlier(own(), NAME))
+
+
+def test_an_earlier_model_whose_card_lacks_an_axis_is_used_for_the_others() -> None:
+    command = {axis: one for axis, one in own().card.raw["command"].items() if axis != "yaw"}
+    card = card_from_mapping({**own().card.raw, "command": command}, "three axes")
+    known_of_three = replace(own(), card=card, axes={**own().axes, "yaw": unknown_axis("not_excited")})
+    state = Tracker(own().card, LAW, after=Earlier(known_of_three, NAME)).state()
+
+    assert [axis for axis, one in state.axes.items() if one.earlier == NAME] == ["x", "y", "z"]
+    told = disagreement(own().card, card, ("the log's card", "the model's"))
+    assert told == "there is a command on yaw by the log's card, but none by the model's"
+
+
+def test_an_earlier_model_says_beforehand_of_which_axes_it_tells_nothing_or_too_little() -> None:
+    model = own()
+    assert list(limits_of_earlier(Earlier(model, NAME), model.card)) == []
+    bare = replace(model.axes["z"], delay=None, combinations={})
+    poor = replace(model, axes={**model.axes, "x": unknown_axis("not_excited"), "z": bare})
+
+    nothing, few = limits_of_earlier(Earlier(poor, NAME), model.card)
+    assert nothing == "model.json knows nothing of x: told and compared there is this flight alone"
+    assert few.startswith("model.json tells too little of z to be compared with this flight: ")
 
 
 def test_the_state_holds_the_model_that_tune_and_files_take() -> None:

@@ -1,13 +1,16 @@
 """Steps between refits lead to where the batch estimator stands, and never say more than it does."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import pytest
 
 from flights import flown, steps
 from rotorfit.core.flight_data import Segment
-from rotorfit.core.model import Interval, Predictor, Weighed
+from rotorfit.core.model import COEFFICIENTS, Interval, Predictor, Weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.models import load, save
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 from rotorfit.tracking import following as following_module
 from rotorfit.tracking.following import Following, _Before
@@ -23,6 +26,7 @@ from rotorfit.tracking.refits import (
     renewed,
     stepped,
 )
+from rotorfit.tracking.regimes import SETTLES
 from rotorfit.tracking.replayed import growing, until
 from tracked_flights import LAW, known_flight
 
@@ -110,7 +114,7 @@ def test_a_gap_while_nothing_steps_leaves_the_estimate_told() -> None:
 
 def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     """A longer flight stands for hours: the estimate looks back over 8 s of 20."""
-    monkeypatch.setattr("rotorfit.tracking.following.LONGEST", 8.0)
+    monkeypatch.setattr("rotorfit.tracking.groups.LONGEST", 8.0)
     monkeypatch.setattr("rotorfit.tracking.refits.LONGEST", 8.0)
     following, told = Following(LAW), []
     for part, now in growing(until(known_flight(), 20.0), following.next_look):
@@ -141,6 +145,7 @@ def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> Non
     flight, following = known_flight(), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         state = following.look(part, now)
+    following._watched = dict.fromkeys(("z", "yaw"), 10.0)
     before = _Before(following._since, following._changed, following._bounds, following._groups)
     first = Alarm(12.5, ("z", "yaw"), "thrust", (11.0, 12.0), {}, 0.9, 1e-9, "because")
     following._begin(first, 11.5, before)
@@ -150,9 +155,46 @@ def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> Non
 
     assert state.axes["yaw"].knowledge == "known"
     assert learning["yaw"].state == learning["z"].state == "changed at 11.5 s, learning"
+    assert (learning["yaw"].watched, learning["z"].watched) == (None, None)
+    assert (again.axes["yaw"].watched, again.axes["z"].watched) == (10.0, None)  # a new regime is watched anew
     assert again.axes["yaw"].state == "known"
     assert again.axes["z"].state == "changed at 11.6 s, learning"
     assert (again.regime, again.regime_start) == (1, 11.6)
+
+
+def test_a_model_of_a_regime_knows_of_each_axis_what_all_the_flight_tells_in_which_it_did_not_change(
+    tmp_path: Path,
+) -> None:
+    flight, following = known_flight(), Following(LAW)
+    alarm, end = Alarm(16.0, ("z",), "payload", (14.0, 16.0), {}, 0.9, 1e-9, "because"), flight.segments[-1].end
+    memory = following.memory()
+    following.recall(
+        {**memory, "since": {**memory["since"], "z": 15.0}, "changed": {"z": 15.0},
+         "bounds": [(0.0, None), (15.0, asdict(alarm))], "next_look": end}
+    )  # fmt: skip
+    state, regimes = following.finish(flight, end)
+    whole = fit([flight], structure=LAW).model
+
+    for regime in regimes:
+        model = regime.model
+        assert model is not None
+        for axis in ("x", "y", "yaw"):
+            assert model.axes[axis].ci95["input"] == pytest.approx(whole.axes[axis].ci95["input"], rel=1e-6)
+        (early, late), parts = model.flights, {0.0: (0.0, 14.0), 15.0: (16.0 + SETTLES, end)}
+        assert (early.axes, late.axes) == (("x", "y", "yaw"), ("z",))
+        assert early.span == pytest.approx((0.0, end), abs=0.1)
+        assert late.span == pytest.approx(parts[regime.start], abs=0.1)
+        assert [one is None for one in model.axes["x"].trim] == [False, True]
+        assert [one is None for one in model.axes["z"].trim] == [True, False]
+        save(model, tmp_path / "model.json")
+        assert load(tmp_path / "model.json").axes["z"].input == model.axes["z"].input
+    last = regimes[-1].model
+    assert last is not None
+    for axis, one in state.axes.items():
+        assert {name: one.values[name] for name in COEFFICIENTS} == pytest.approx(
+            {name: getattr(last.axes[axis], name) for name in COEFFICIENTS}
+        )
+    assert regimes[0].model.axes["z"].input != last.axes["z"].input
 
 
 def test_a_revision_takes_the_place_of_the_alarm_of_its_time() -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotorfit.core.flight_data import Segment
 from rotorfit.tracking.refits import refitted, renewed
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.scores import BRAKES, Scores, let_go, scores_of
@@ -49,6 +50,27 @@ def test_nothing_is_asked_of_the_height_while_a_vehicle_brakes() -> None:
 
     assert not after.rows[braking].any()
     assert np.array_equal(after.rows[~braking], before.rows[~braking])
+
+
+def test_an_answer_that_begins_while_the_vehicle_brakes_tells_nothing_of_x_and_y() -> None:
+    """Answers begin with their stick: at 3 s, with nothing before it, and at 7.5 s, half a second after a let-go."""
+    answers = [(3.0, 6.5), (7.5, 11.0)]
+    parts = replace(known_flight(), segments=tuple(Segment(*span) for span in answers))
+    (scores,) = scores_of([(list(refitted(parts, ("x",), LAW, 30.0).estimates.items()), {})], np.array([2.5, 7.0]))
+    told = scores.rows.any(axis=1)
+
+    assert told[scores.time < 6.5].all()
+    assert not told[(scores.time > 7.5) & (scores.time < 7.0 + BRAKES)].any()
+    assert told[scores.time > 7.0 + BRAKES].all()
+
+
+def test_an_answer_may_differ_from_the_law_by_what_no_pilot_would_notice() -> None:
+    one = list(refitted(known_flight(), ("z",), LAW, 30.0).estimates.items())
+    (scores,) = scores_of([(one, {"z": {"delay": 0.1}})])
+
+    assert dict(zip(scores.names, scores.doubt * scores.scale, strict=True)) == pytest.approx(
+        {"z.input": 0.015, "z.damping": 0.0, "z.delay": 0.1, "z.trim": 0.015}
+    )
 
 
 def test_sticks_are_let_go_where_both_become_zero() -> None:

@@ -25,6 +25,7 @@ from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
 from rotorfit.core.finding import by_gravity
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes, with_frozen
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
@@ -186,10 +187,12 @@ def fit_logs(
         told
         for flight, fitted in zip(flights, result.flights, strict=True)
         for told in flight.findings
-        if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+        if told.axis is None
+        or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+        or set(frozen_axes([told])) & set(axes)
     ]  # without axes that a flight merely holds
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
-    return replace(result, model=with_findings(result.model, findings))
+    return replace(result, model=with_frozen(with_findings(result.model, findings), axes))
 
 
 def leave_one_out_logs(

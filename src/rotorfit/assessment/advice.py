@@ -15,6 +15,7 @@ from rotorfit.assessment.prior_influence import prior_findings
 from rotorfit.core.finding import Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import Axis
 from rotorfit.core.results import Fit
@@ -22,7 +23,6 @@ from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.command_response import TURNING
 from rotorfit.diagnosis.doctor import SHORT_TIME
 from rotorfit.diagnosis.frame_checks import OVER
-from rotorfit.diagnosis.pose_checks import FROZEN_AXIS
 from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
@@ -141,8 +141,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
     found += disagreement_findings(fit)
-    still = {finding.axis for finding in told if finding.code == FROZEN_AXIS}
-    still |= {"x", "y"} if still & {"x", "y"} else set()  # the heading turns one into both
+    still = frozen_axes(told)
     return by_gravity(one for one in found if one in told or one.axis not in still)  # its remedies would be wrong
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import given_by_law
-from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Model
+from rotorfit.core.model import COEFFICIENTS, FROZEN, Axis, Combination, Model
 from rotorfit.estimation.identifiability import WIDEST_INPUT
 from rotorfit.estimation.methods import label_of
 
@@ -14,6 +14,7 @@ _REASONS = {
     "not_excited": "no flight excites {}",
     "too_short": "the flights are too short for {}, or command it only once",
     "diverged": "the estimation of {} did not converge",
+    FROZEN: "the pose stands still while {} is commanded",
 }
 
 BELIEVED = ", with the card's prior"

@@ -26,8 +26,9 @@ from rotorfit.control.robustness import (
 from rotorfit.core.display import html_table, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY
-from rotorfit.core.model import COEFFICIENTS, Model, first_order
+from rotorfit.core.model import COEFFICIENTS, MEND, Model, first_order, unknown_why
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale
@@ -145,7 +146,7 @@ def tune(
     refused: dict[str, str] = {}
     for axis in (axis for axis in AXES if axis in axes):
         if model.axes[axis].predictor is None:
-            refused[axis] = f"the model has no numbers ({model.axes[axis].status['input']}): fit a flight that moves it"
+            refused[axis] = f"the model has no numbers ({unknown_why(model, axis)}"
             continue
         vehicle = known_dynamics(model, axis)
         possible = doubt(believed_possible(model, axis, draws, seed), 1 / rate, latency, seed)
@@ -193,9 +194,11 @@ def _fastest(
         quietest = AxisTuning(law, bandwidth, margins(law, vehicle), known, noise, _note(model, axis, noise))
         if noise is None or noise <= RESTLESS:
             break
+    frozen = axis in frozen_axes(model.findings)
+    remedy = MEND if frozen else "fly the next flight (`rotorfit plan --after`) and fit again"
     return quietest or (
         f"too poorly known: not even at {BANDWIDTHS[0]:g} rad/s do 95 % of the vehicles that its covariance allows "
-        f"keep a peak of {peak:g}; fly the next flight (`rotorfit plan --after`) and fit again"
+        f"keep a peak of {peak:g}; {remedy}"
     )
 
 
@@ -223,6 +226,8 @@ def _note(model: Model, axis: str, noise: float | None) -> str:
     """The assumptions and warnings about the gains of an axis."""
     notes = []
     known = model.axes[axis]
+    if axis in frozen_axes(model.findings):
+        notes.append(MEND)
     if known.structure != FIRST_ORDER_DELAY.name:
         notes.append(f"tuned for the first-order law with a delay, not for {known.structure}")
     status = known.plain.status if known.plain and known.structure != FIRST_ORDER_DELAY.name else known.status

@@ -219,6 +219,8 @@ def disagreement(one: Card, other: Card, whose: tuple[str, str] = ("the plan's c
     first, second = whose
     for axis in one.command:
         mine, theirs = meaning_of(one, axis), meaning_of(other, axis)
+        if mine.limit and axis not in other.command:
+            return f"there is a command on {axis} by {first}, but none by {second}"
         if mine.asked and theirs.asked and mine.asked != theirs.asked:
             return f"a command on {axis} asks for {mine.asked} by {first}, for {theirs.asked} by {second}"
         if bool(mine.limit) != bool(theirs.limit):

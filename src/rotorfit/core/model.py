@@ -40,6 +40,12 @@ COEFFICIENTS = ("input", "damping", "delay")
 STRUCTURE = "first_order_delay"
 """Name of the default law, `laws.FIRST_ORDER_DELAY`."""
 
+FROZEN = "pose_frozen"
+"""Status of what a frozen pose keeps from being known, and the finding about that coordinate of the pose."""
+
+MEND = "the pose stood still under commands: first do what the finding pose_frozen says"
+"""What to do about an axis that suffers from a frozen pose: more flights alone would not help."""
+
 Interval = tuple[float | None, float | None]
 
 NORMAL = 1.959963984540054
@@ -241,7 +247,8 @@ class Axis:
         delay: tau [s].
         stderr: Coefficient name to standard error.
         ci95: Coefficient name to 95 % interval for the vehicle; an open end is None.
-        status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `refuted`, `diverged` or `too_short`.
+        status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `refuted`, `diverged`, `too_short` or
+            `pose_frozen`.
         trim: Constant acceleration in the heading frame, one per flight [m/s^2, yaw rad/s^2]; None where a flight was
             not used for this axis.
         noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance;
@@ -474,10 +481,14 @@ def predictor_of(model: Model, axis: str) -> Predictor:
     """
     predictor = model.axes[axis].predictor
     if predictor is None:
-        raise ModelError(
-            f"the model has no numbers for {axis} ({model.axes[axis].status['input']}): fit a flight that moves it"
-        )
+        raise ModelError(f"the model has no numbers for {axis} ({unknown_why(model, axis)}")
     return predictor
+
+
+def unknown_why(model: Model, axis: str) -> str:
+    """Status of an axis without numbers, and what to do."""
+    status = model.axes[axis].status["input"]
+    return f"{status}): {MEND if status == FROZEN else 'fit a flight that moves it'}"
 
 
 def first_order(model: Model, axis: str) -> Weighed:

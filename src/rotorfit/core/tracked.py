@@ -68,7 +68,7 @@ class TrackedAxis:
         against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`,
             `zero` and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values
             are from this flight.
-        watched: Time of the first test that could have raised an alarm about it [s]; None before.
+        watched: Time of the first test since its last change that could have raised an alarm about it [s]; None before.
     """
 
     knowledge: Knowledge = "learning"
@@ -105,6 +105,12 @@ class TrackedAxis:
             "against_earlier": {name: list(three) for name, three in self.against.items()},
             "watched_from": self.watched,
         }
+
+
+def other_law(before: TrackedAxis, now: TrackedAxis) -> bool:
+    """Whether this flight tells numbers of an axis under another law than before."""
+    told = all(any(value is not None for value in one.values.values()) for one in (before, now))
+    return told and not before.earlier and not now.earlier and before.structure != now.structure
 
 
 @dataclass(frozen=True)
@@ -281,7 +287,8 @@ class Regime:
     Attributes:
         start: Start [s].
         end: End [s].
-        model: Model fitted to it; None where it was too short.
+        model: Its model: each axis is fitted to all of the flight around the regime in which it did not change. None
+            where that is too short for every axis.
         begun_by: The alarm at its start; None for the first.
     """
 
@@ -314,6 +321,17 @@ class Tracked:
     air: Air | None = None
     model: Model | None = field(default=None, compare=False, repr=False)
     landed: bool = False
+
+    @property
+    def unwatched(self) -> tuple[str, ...]:
+        """The commanded axes about which no test could raise an alarm yet, since the start or since their change."""
+        return tuple(name for name, one in self.axes.items() if one.watched is None and UNMOVED not in one.state)
+
+    @property
+    def words(self) -> str:
+        """The state of each axis in a few words, and the axes that are not yet watched; empty without axes."""
+        axes = ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in self.axes.items())
+        return axes + (f"; not yet watched for changes: {', '.join(self.unwatched)}" if self.unwatched else "")
 
     def to_mapping(self) -> dict[str, Any]:
         """The state as a line of JSON holds it."""
@@ -384,11 +402,34 @@ class Track:
     @property
     def watch(self) -> str:
         """From when on each axis was tested for changes, in words; empty for a track without axes."""
-        axes = self.states[-1].axes if self.states else {}
-        since = {axis: one.watched for axis, one in axes.items()}
-        groups = {time: ", ".join(axis for axis, other in since.items() if other == time) for time in since.values()}
-        told = [f"{names} {'never' if t is None else f'from {t:.1f} s on'}" for t, names in groups.items()]
+        words = {axis: self._watch_of(axis) for axis in (self.states[-1].axes if self.states else {})}
+        groups = {told: ", ".join(axis for axis, other in words.items() if other == told) for told in words.values()}
+        told = [f"{names} {told}" for told, names in groups.items()]
         return f"Watched for changes: {'; '.join(told)}" if told else ""
+
+    @property
+    def laws_at_end(self) -> tuple[str, ...]:
+        """The axes to which the last fit gave another law than the state before had, in words."""
+        before = next((state.axes for state in reversed(self.states) if not state.landed), {})
+        last = self.states[-1].axes if self.states and self.states[-1].landed else {}
+        return tuple(
+            f"{axis}: the last fit is under law {one.structure}, numbers told before it are under "
+            f"{before[axis].structure}: only steady gain and total lag compare"
+            for axis, one in last.items()
+            if axis in before and other_law(before[axis], one)
+        )
+
+    def _watch_of(self, axis: str) -> str:
+        """When an axis was tested for changes, in words: not until enough is known of it, and of it as it changed."""
+        spans: list[tuple[float, float | None]] = []
+        for state in self.states:
+            since = state.axes[axis].watched if axis in state.axes else None
+            if spans and spans[-1][1] is None and since != spans[-1][0]:
+                spans[-1] = spans[-1][0], state.time
+            if since is not None and (not spans or since != spans[-1][0]):
+                spans.append((since, None))
+        told = [f"from {begin:.1f} s {'on' if end is None else f'to {end:.1f} s'}" for begin, end in spans]
+        return " and ".join(told) or "never"
 
     @property
     def axes(self) -> tuple[str, ...]:

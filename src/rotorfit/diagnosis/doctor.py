@@ -8,12 +8,13 @@ from dataclasses import replace
 
 from rotorfit.core.finding import DAMAGED, Finding, by_gravity
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.log import Log
 from rotorfit.diagnosis.clock_checks import clock_findings
 from rotorfit.diagnosis.command_checks import command_findings
 from rotorfit.diagnosis.frame_checks import frame_findings, sign_findings
 from rotorfit.diagnosis.motion_checks import motion_findings
-from rotorfit.diagnosis.pose_checks import FROZEN_AXIS, pose_findings
+from rotorfit.diagnosis.pose_checks import pose_findings
 from rotorfit.diagnosis.position_loop import restoring_findings
 from rotorfit.diagnosis.recording import Recording, recording_of
 
@@ -37,8 +38,11 @@ def findings_of_flight(log: Log, flight: Flight) -> tuple[Finding, ...]:
             for finding in found[motion_findings]
             if not (finding.code == "wind_dominates" and finding.axis in ("x", "y"))
         )
-    still = {finding.axis for finding in found[pose_findings] if finding.code == FROZEN_AXIS}
-    found[motion_findings] = tuple(finding for finding in found[motion_findings] if finding.axis not in still)
+    still = frozen_axes(found[pose_findings])
+    for check in (motion_findings, sign_findings):
+        found[check] = tuple(finding for finding in found[check] if finding.axis not in still)
+    if "x" in still:
+        found[frame_findings] = ()
     return by_gravity(
         finding if finding.code == DAMAGED else replace(finding, evidence=f"{flight.path}: {finding.evidence}")
         for findings in found.values()

@@ -90,7 +90,7 @@ def frame_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the frames of one flight; none where its directions are not significant."""
     card, flight, motion = recording.card, recording.flight, recording.motion
     moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
-    if not moved or len(motion.time) < LEAST_POSES:
+    if not moved or len(motion.time) < LEAST_POSES or not np.any(motion.acceleration[:, :2]):
         return
     thin = max(1, round(len(motion.time) / max(flight.duration, 1e-9) / RATE))
     part = Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))

@@ -8,6 +8,7 @@ from rotorfit.core.display import counted
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, POSE_UNITS, UNIT_SCALE, Array, Mask
+from rotorfit.core.frozen import SUFFERING
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.recording import Recording
 from rotorfit.dynamics.compiled import kernel
@@ -26,15 +27,12 @@ NEIGHBOURS = 9
 RETURN = 1.0
 """Time within which a jump that is undone has returned [s]."""
 
-FROZEN = 5.0
+STILL = 5.0
 """Least time for which a coordinate repeats exactly, though it is commanded, to be frozen [s]: heights in steps of a
 centimetre repeat for less while the vehicle climbs."""
 
 FROZEN_COMMAND = 0.5
 """Least RMS of the command meanwhile, as a share of that of the whole flight."""
-
-FROZEN_AXIS = "pose_frozen"
-"""Code of the finding about a frozen coordinate, which explains what other checks find on its axis."""
 
 FASTEST, HARDEST = 30.0, 25.0
 """RMS speed [m/s] and acceleration [m/s^2] over a flight that no multirotor sustains."""
@@ -127,7 +125,7 @@ def _pace(motion: Motion) -> tuple[float, float]:
 
 
 def _frozen_axes(flight: Flight) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Each coordinate that repeats exactly for `FROZEN` while it is commanded, and its longest such stretch [s]."""
+    """Each coordinate that repeats exactly for `STILL` while it is commanded, and its longest such stretch [s]."""
     moved_by = [flight.command[:, [0, 1]], flight.command[:, [0, 1]], flight.command[:, [2]], flight.command[:, [3]]]
     for axis, values, command in zip(AXES, [*flight.position.T, flight.yaw], moved_by, strict=True):
         channel = flight.card.pose.get("qw" if axis == "yaw" and "yaw" not in flight.card.pose else axis)
@@ -138,7 +136,7 @@ def _frozen_axes(flight: Flight) -> Iterator[tuple[str, tuple[float, float]]]:
         longest = int(np.argmax(flight.pose_time[ends] - flight.pose_time[starts]))
         start, end = (float(flight.pose_time[each[longest]]) for each in (starts, ends))
         during = command[(flight.command_time >= start) & (flight.command_time <= end)]
-        if end - start < FROZEN or not np.any(np.ptp(during, axis=0) if len(during) else 0.0):
+        if end - start < STILL or not np.any(np.ptp(during, axis=0) if len(during) else 0.0):
             continue
         if np.mean(during**2) >= FROZEN_COMMAND**2 * np.mean(command**2):
             yield axis, (start, end)
@@ -146,21 +144,25 @@ def _frozen_axes(flight: Flight) -> Iterator[tuple[str, tuple[float, float]]]:
 
 def _frozen(flight: Flight, frozen: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
     first, last = flight.pose_time[[0, -1]]
+    coordinates = dict(zip(AXES, [*flight.position.T, flight.yaw], strict=True))
     for axis, (start, end) in frozen.items():
-        index = int(np.searchsorted(flight.pose_time, start))
-        value = flight.yaw[index] if axis == "yaw" else flight.position[index, AXES.index(axis)]
+        during = (flight.pose_time >= start) & (flight.pose_time <= end)
+        value = coordinates[axis][during][0]
+        moving = ", ".join(other for other, values in coordinates.items() if np.ptp(values[during]) > 0)
         whole = start <= first and end >= last
         where = "throughout" if whole else f"from {start:.1f} s {'to the end' if end >= last else f'to {end:.1f} s'}"
         cause = "a sensor, an estimator or a bridge that repeats its last value"
         span = f":{start:.1f}" if start - first >= last - end else f"{end:.1f}:"
-        others = ",".join(other for other in flight.axes if other != axis)
+        suffering = [other for other in SUFFERING[axis][1:] if other in flight.axes]
+        others = ",".join(other for other in flight.axes if other not in (axis, *suffering))
         yield Finding(
             "pose_frozen",
             "warning",
             f"{axis} of the pose is frozen {where}: exactly {value:.4g} {POSE_UNITS[axis]} for {end - start:.1f} s, "
-            "while it is commanded and the rest of the pose moves",
+            f"while it is commanded{f' and the pose changes in {moving}' if moving else ''}",
             f"{axis} shows no response to its commands there: "
-            + ("none of its coefficients can be identified" if whole else "its coefficients are wrong or unknown"),
+            + ("none of its coefficients can be identified" if whole else "its coefficients are wrong or unknown")
+            + (f"; those of {' and '.join(suffering)} are wrong where the vehicle turns" if suffering else ""),
             f"check that the card names the right column for {axis} of [pose]; if so, look for {cause}"
             + (f"; fit the other axes by --axes {others}" if others else "")
             if whole

@@ -13,9 +13,10 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Four
 from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.core.limits import Meaning, expectation, meaning_of
-from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Model, first_order
+from rotorfit.core.model import COEFFICIENTS, MEND, STRUCTURE, Model, first_order
 from rotorfit.simulation.paper_vehicle import Truth
 from rotorfit.simulation.published import PUBLISHED, vehicle_of
 
@@ -216,6 +217,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
     if richer:
         laws = ", ".join(dict.fromkeys(richer.values()))
         notes.append(f"{', '.join(richer)}: planned for the first-order law with a delay, not for {laws}")
+    if frozen := frozen_axes(model.findings):
+        notes.insert(0, f"{', '.join(frozen)}: {MEND}")
     covariance = _known_covariance(model, values.ravel(), covariance)
     truth = replace(
         with_coefficients(rest.truth, values.ravel()),

@@ -9,7 +9,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Plan, Space
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.model import COEFFICIENTS, MEND
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.planning.belief import Belief
 from rotorfit.planning.plan_flight import SHORTEST, TOGETHER, plan_with_information
@@ -54,6 +54,7 @@ def next_flight(
     *,
     design: str | None = None,
     axes: Sequence[str] | None = None,
+    frozen: Sequence[str] = (),
     amplitude: float | None = None,
     open_loop: bool = False,
     seed: int = 0,
@@ -71,17 +72,21 @@ def next_flight(
         duration: Largest duration [s].
         design: Requested by the user; None compares `TRIED`.
         axes: Requested by the user; None chooses.
+        frozen: Axes whose pose was frozen in the flights of the model: chosen only by the user.
         amplitude: As for `plan_flight`.
         open_loop: As for `plan_flight`.
         seed: As for `plan_flight`.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Raises:
-        PlanError: As `plan_flight`; none of the designs stays in the space.
+        PlanError: As `plan_flight`; none of the designs stays in the space; all axes are frozen.
     """
     wanted = wanted_errors(belief)
     before = np.sqrt(np.diag(belief.covariance))
-    group = tuple(axes) if axes else worst_group(before / wanted, tuple(card.command))
+    free = [axis for axis in card.command if axis not in frozen]
+    if not axes and not free:
+        raise PlanError(f"{', '.join(frozen)}: {MEND}; --axes plans for them all the same")
+    group = tuple(axes) if axes else worst_group(before / wanted, free)
     designs = (design,) if design else TRIED
     plans, errors, left, refused = {}, {}, {}, []
 
@@ -101,7 +106,7 @@ def next_flight(
             continue
         left[name] = _left(errors[name], wanted, group)
     if not plans:
-        raise refused[0]
+        raise PlanError(f"{refused[0]}; {', '.join(frozen)}: {MEND}") if frozen else refused[0]
     best = min(left, key=lambda name: left[name])
     chosen, after = plans[best], errors[best]
     shorter = _enough(chosen, after, wanted, group)

@@ -12,6 +12,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Plan, Space
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
 from rotorfit.files.cards import card_from_mapping, load_card
@@ -121,14 +122,14 @@ def planned(request: Request, progress: Progress | None = None) -> tuple[list[Pl
         CardError: The card is invalid.
         ModelError: The model file is invalid.
     """
-    card, belief = _believed(request)
+    card, belief, frozen = _believed(request)
     space = _space_of_request(request)
     chosen: dict[str, Any] = {
         "amplitude": request.amplitude, "open_loop": request.open_loop, "seed": request.seed, "progress": progress
     }  # fmt: skip
     if request.after and not request.separate:
         proposal = next_flight(
-            card, space, belief, request.duration, design=request.design, axes=request.axes, **chosen
+            card, space, belief, request.duration, design=request.design, axes=request.axes, frozen=frozen, **chosen
         )  # fmt: skip
         proposal = replace(proposal, plan=_with_room_note(proposal.plan, request))
         return [proposal.plan], proposal
@@ -150,16 +151,18 @@ def _with_room_note(plan: Plan, request: Request) -> Plan:
     return replace(plan, predicted={**plan.predicted, "notes": [note, *plan.predicted.get("notes", ())]})
 
 
-def _believed(request: Request) -> tuple[Card, Belief]:
+def _believed(request: Request) -> tuple[Card, Belief, tuple[str, ...]]:
+    """Card, belief, and the axes whose pose was frozen in the flights of the model."""
     if (request.card is None) == (request.after is None):
         raise PlanError("give --card with the limits of the vehicle, or --after with a model of it, and not both")
     if request.card is not None:
         card = request.card if isinstance(request.card, Card) else _card(request.card)
-        return card, belief_from_card(card)
+        return card, belief_from_card(card), ()
     if isinstance(request.after, Model):
-        return request.after.card, belief_from_model(request.after, "a model in memory")
-    model = load(str(request.after))
-    return model.card, belief_from_model(model, str(request.after))
+        model, where = request.after, "a model in memory"
+    else:
+        model, where = load(str(request.after)), str(request.after)
+    return model.card, belief_from_model(model, where), frozen_axes(model.findings)
 
 
 def _card(name: str) -> Card:

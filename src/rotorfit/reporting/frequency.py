@@ -36,16 +36,23 @@ def _star(value: float, band: Array) -> str:
 
 
 def response_line(comparison: ResponseComparison) -> str:
-    """The result of the test of the law, or why there is none."""
+    """The result of the test of the law, or why there is none.
+
+    The p-value is of all frequencies together, from noise that each knows from few degrees of freedom; the deviation is
+    the largest among them. So many standard errors of one frequency are no contradiction to a large p-value.
+    """
     law, flight = comparison.law, comparison.flight
     if not flight.frequency.size:
         return f"no frequency response: {flight.why_none}"
     if law is None:
         return "the law has no frequency response to compare" if comparison.model is None else "too few for a test"
     verdict = "consistent with the law" if law.p >= 0.05 else "inconsistent with the law for any coefficients"
+    many = flight.frequency.size
+    worst = f"the worst of {many} is off" if many > 1 else "it is off"
     return (
-        f"{verdict} (p = {law.p:.2g}, {law.freedom} degree{'s' * (law.freedom != 1)} of freedom; largest deviation at "
-        f"{law.worst:.2g} rad/s, by {law.worst_sigmas:.1f} standard errors); instrument: {flight.instrument}"
+        f"{'all frequencies together' if many > 1 else 'its one frequency'}: {verdict} (p = {law.p:.3g}, {law.freedom} "
+        f"degree{'s' * (law.freedom != 1)} of freedom); {worst} by {law.worst_sigmas:.1f} of its own standard errors, "
+        f"at {law.worst:.2g} rad/s; instrument: {flight.instrument}"
     )
 
 

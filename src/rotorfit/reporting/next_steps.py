@@ -9,7 +9,8 @@ import numpy as np
 from rotorfit.assessment.case import Case
 from rotorfit.core.errors import PlanError
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.frozen import frozen_axes
+from rotorfit.core.model import COEFFICIENTS, FROZEN, Model
 from rotorfit.estimation.methods import maximises_likelihood
 from rotorfit.planning.belief import belief_from_model
 from rotorfit.planning.next_flight import wanted_errors, worst_group
@@ -44,15 +45,17 @@ def next_steps(case: Case, verdict: Verdict) -> tuple[Step, ...]:
     commanded = [axis for axis in AXES if axis in model.card.command]
     lacking = [axis for axis in commanded if model.axes[axis].predictor is None]
     uses = [use for use in verdict.uses if use.horizon == verdict.horizon and use.axis in commanded]
-    steps = []
-    if lacking:
-        why = f"No flight so far tells how {and_list(lacking)} answer{'s' if len(lacking) == 1 else ''}."
-        steps.append(Step(f"Fly to learn {and_list(lacking)}.", why, _plan(case, lacking)))
+    told = [finding for finding in model.findings if finding.code == FROZEN]
+    frozen = frozen_axes(told)
+    steps = [Step(sentences([f.remedy])[0], sentences([f.evidence])[0], "") for f in told]
+    if unflown := [axis for axis in lacking if axis not in frozen]:
+        why = f"No flight so far tells how {and_list(unflown)} answer{'s' if len(unflown) == 1 else ''}."
+        steps.append(Step(f"Fly to learn {and_list(unflown)}.", why, _plan(case, unflown)))
     wrong = [f for f in model.findings if f.severity == "error" and f.axis not in lacking]
     steps += [Step(sentences([f.remedy])[0], sentences([f.evidence])[0], "") for f in wrong[:MOST_REMEDIES]]
     steps += _proof(case, uses)
     short = [use.axis for use in uses if use.answer == "limited"]
-    steps += _vague(case, [axis for axis in commanded if axis not in lacking], short)
+    steps += _vague(case, [axis for axis in commanded if axis not in (*lacking, *frozen)], short)
     if any(
         lamp.question == "residuals" and lamp.word == "not clean" for light in verdict.lights for lamp in light.lamps
     ):

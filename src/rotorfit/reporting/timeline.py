@@ -83,7 +83,13 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
     sections: dict[str, tuple[str, Mapping[str, Any]]] = {
         "now": (
             "Now",
-            {"headline": _headline(track), "states": known, "rows": _rows(last.axes), "air": _air(last.air)},
+            {
+                "headline": _headline(track),
+                "states": known,
+                "rows": _rows(last.axes),
+                "air": _air(last.air),
+                "laws": track.laws_at_end,
+            },
         ),
         "time": ("Over time", {"number": panels.number, "axes": _by_axis(panels)}),
         "alarms": ("Alarms", {"alarms": [raised(alarm) for alarm in track.alarms], "watch": track.watch}),

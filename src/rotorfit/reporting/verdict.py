@@ -11,7 +11,7 @@ from rotorfit.assessment.rows import LENGTH, SPEED, HorizonErrors
 from rotorfit.assessment.whiteness import FINDING_LEVEL, LEVEL, narrows_intervals
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Axis, Model
+from rotorfit.core.model import FROZEN, Axis, Model
 from rotorfit.core.residuals import ResidualTests
 from rotorfit.core.results import HORIZONS, Difference, PairedTest
 from rotorfit.reporting.words import and_list, chance, figure, sentences
@@ -180,6 +180,7 @@ STATUS = {
     "diverged": "the estimation found no optimum",
     "not_identifiable": "the data do not separate it from the other coefficients",
     "refuted": "the flights deny the law that it belongs to",
+    FROZEN: "the pose stands still while the axis is commanded",
 }
 
 

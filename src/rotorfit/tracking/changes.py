@@ -51,9 +51,6 @@ LEAST_CHUNKS = 12
 NEW, EARLIEST, APART = 2.0, 0.15, 0.1
 """Times of the matched filters [s]: how far back a look tests; age at which a jolt becomes visible; grid spacing."""
 
-DROP = 3.84
-"""Drop of T from its maximum that bounds the 95 % interval of the time of a change."""
-
 MARGIN = 2.0
 """Factor on the variance of jolts: a gust that is 40 % larger than any before is still a gust."""
 
@@ -65,8 +62,11 @@ BEFORE, CALM_BEFORE, CALM_AFTER = 5.0, 3.0, 2.0
 """Time before a change that is checked for calm [s]; largest excess of the mean squared innovation there over that of
 the regime, in standard errors; largest mean squared innovation after the change, over that of the regime."""
 
-SURE = 1e-12
+SURE = 1e-10
 """p-value below which no calm is required after a change."""
+
+CORRELATED = 0.5
+"""Power to which the likelihood of a strength of gusts is taken: innovations in rising gusts are correlated."""
 
 TOGETHER = 0.5
 """Changes of several axes within this time count as one [s]."""
@@ -354,7 +354,7 @@ def in_any_air(names: tuple[str, ...], under: Sequence[Sequence[Scores]], length
         lengths: Lengths of the windows that are tested [s].
     """
     air = next(scores.air for scores in under[0] if scores.names == names)
-    weight, least = np.exp(air - air.max()), []
+    weight, least = np.exp(CORRELATED * (air - air.max())), []
     for scored in under:
         found = [one.p_value for one in looked_together(scored, lengths)[0][names] if pushes(names, one)]
         least.append(min(found, default=1.0))
@@ -518,19 +518,21 @@ def at_once(scores: Scores, looked: Sequence[Contrast], change: Contrast) -> Con
     return nearest or contrast(scores, change.since)
 
 
-def since_when(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> tuple[Contrast, tuple[float, float]]:
-    """The contrast at the likeliest time of a change, and the 95 % interval of that time [s].
+def likeliest(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> Contrast:
+    """The contrast that shows a change best: its window begins when the vehicle changed, or it is a jolt.
 
     Args:
         scores: Those of the likelihood that shows the change.
         found: The contrast that found it.
         looked: The contrasts of the present look.
     """
-    now, begin = float(scores.time[-1]), float(scores.time[0])
-    low = max(found.since - WINDOWS[-1] / 4, begin)
-    tried = [one for t in np.arange(low, now - STEP, STEP) if (one := contrast(scores, float(t)))]
+    now = float(scores.time[-1])
+    end = now - WINDOWS[0] + STEP  # a shorter window takes one shift for another
+    tried = [one for t in np.arange(earliest(scores, found), end, STEP) if (one := contrast(scores, float(t)))]
     again = [one for one in looked if abs(one.since - found.since) < TOGETHER]
-    long = [one for one in tried if one.since < now - WINDOWS[0] + STEP]  # a shorter window takes one shift for another
-    best = max((*long, *again, found), key=lambda one: one.statistic - 2 * one.directions)
-    near = [one.since for one in (*tried, best) if one.statistic >= best.statistic - DROP]
-    return best, (min(near) - STEP / 2, min(max(near) + STEP / 2, now))
+    return max((*tried, *again, found), key=lambda one: one.statistic - 2 * one.directions)
+
+
+def earliest(scores: Scores, found: Contrast) -> float:
+    """Earliest instant at which the change that a contrast shows may have come [s]."""
+    return max(found.since - WINDOWS[-1] / 4, float(scores.time[0]))

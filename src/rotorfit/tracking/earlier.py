@@ -12,7 +12,7 @@ of their intervals of the vehicle, which include the spread between flights of o
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -93,15 +93,26 @@ def check_earlier(earlier: Earlier, card: Card) -> None:
     Raises:
         CardError: The meanings differ.
     """
-    if trouble := disagreement(card, earlier.model.card, ("the flight's card", f"that of {earlier.name}")):
+    both = replace(
+        card, command={axis: one for axis, one in card.command.items() if axis in earlier.model.card.command}
+    )
+    if trouble := disagreement(both, earlier.model.card, ("the flight's card", f"that of {earlier.name}")):
         raise CardError(f"{earlier.name}: {trouble}; convert it (rotorfit convert), or leave --after out")
 
 
-def another_card(earlier: Earlier, card: Card) -> str:
-    """States, in one line, that the earlier model has a card of another name; empty where it has not."""
-    if earlier.model.card.name == card.name:
-        return ""
-    return f"{earlier.name} is of another card, {earlier.model.card.name}, than the flight, {card.name}"
+def limits_of_earlier(earlier: Earlier, card: Card) -> Iterator[str]:
+    """Lines on what an earlier model cannot do for a flight: it has a card of another name, or tells too little."""
+    if earlier.model.card.name != card.name:
+        yield f"{earlier.name} is of another card, {earlier.model.card.name}, than the flight, {card.name}"
+    known = {axis: known_before(earlier, axis).keys() for axis in AXES if axis in card.command}
+    if missing := [axis for axis, names in known.items() if not names]:
+        yield f"{earlier.name} knows nothing of {', '.join(missing)}: told and compared there is this flight alone"
+    few = [axis for axis, names in known.items() if names and not (names & {*ALIKE} or names >= {*COEFFICIENTS})]
+    if few:
+        yield (
+            f"{earlier.name} tells too little of {', '.join(few)} to be compared with this flight: input, damping and "
+            "delay, or steady gain or total lag, each with an interval; a fit by maximum likelihood gives them"
+        )
 
 
 def known_before(earlier: Earlier, axis: str) -> dict[str, Known]:

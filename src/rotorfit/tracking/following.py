@@ -21,13 +21,9 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
-from rotorfit.diagnosis.position_loop import restored_axes
-from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
-from rotorfit.estimation.likelihood.axis_estimate import Estimate
-from rotorfit.estimation.likelihood.optima import between
-from rotorfit.estimation.zero_command import commanded_parts, late_by
+from rotorfit.estimation.zero_command import late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import (
@@ -36,22 +32,31 @@ from rotorfit.tracking.changes import (
     at_once,
     calm,
     compares,
+    earliest,
     in_any_air,
+    likeliest,
     looked_for,
     looked_together,
     pushes,
-    since_when,
 )
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
+from rotorfit.tracking.groups import (
+    QUIET,
+    Group,
+    excited_time,
+    held_axes,
+    looks_back,
+    quiet_for,
+    renewed_groups,
+    scores_of_groups,
+)
+from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.refits import (
-    LONGEST,
     REFIT,
     AxisReport,
     GroupEstimate,
     axis_report,
-    doubt_of,
-    group_estimate,
     grown,
     growth,
     refitted,
@@ -59,7 +64,12 @@ from rotorfit.tracking.refits import (
     stepped,
     together,
 )
-from rotorfit.tracking.scores import CHUNK, GUST_POWERS, WINDOWS, Doubts, Estimates, Scores, let_go, scores_of
+from rotorfit.tracking.regimes import Bounds, learnt_from, regimes_of
+from rotorfit.tracking.scores import (
+    CHUNK,
+    GUST_POWERS,
+    WINDOWS,
+)
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
@@ -77,47 +87,7 @@ FALSE_ALARMS_PER_HOUR = 0.1
 RESTLESS = 0.97
 """Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
 
-BEGINS = 0.1
-"""Step by which the beginning of what a look uses of a long regime moves, as a share of `LONGEST`."""
-
-ENOUGH, FEW = 11.0, 20
-"""Time from which on a fit tests whether an axis is only held [s]: `position_loop.LEAST` averages. Before that the test
-is made at each look, with this number of averages."""
-
 HELD = "its commands only answer its motion"
-
-QUIET = 5.0
-"""Time without a new command after which an axis is `holding` [s]: by then it has answered the last one."""
-
-
-@dataclass(frozen=True)
-class Group:
-    """Axes that are fitted together.
-
-    Attributes:
-        axes: Names.
-        since: Start of their regime [s].
-        fitted: Their estimate; None before the first fit.
-        excited: Excited time since the start of the regime [s].
-        looked: Time up to which `excited` was counted [s].
-        answers: Delay of the answers to commands and twice their lag [s], if only those are fitted because the axes
-            obey another law at rest; None if all of the flight is.
-    """
-
-    axes: tuple[str, ...]
-    since: float
-    fitted: GroupEstimate | None = None
-    excited: float = 0.0
-    looked: float = 0.0
-    answers: float | None = None
-
-    def part(self, flight: Flight, since: float, now: float) -> Flight | None:
-        """The part of a flight between two times [s] that is fitted; None if it is empty."""
-        part = _part(flight, since, now)
-        if part is None or self.answers is None:
-            return part
-        part = commanded_parts(part, self.axes, self.answers)
-        return part if part.segments else None
 
 
 @dataclass(frozen=True)
@@ -132,7 +102,7 @@ class _Before:
 
     since: Mapping[str, float]
     changed: Mapping[str, float]
-    bounds: Sequence[tuple[float, Alarm | None]]
+    bounds: Bounds
     groups: Mapping[tuple[str, ...], Group]
 
 
@@ -250,28 +220,17 @@ class Following:
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
         """The final state, after a last fit of each group, and the regimes with their models.
 
+        The model of the last regime is that of the final state.
+
         Args:
             flight: The whole flight.
             now: Its end [s].
         """
-        ends = [*(since for since, _ in self._bounds[1:]), now]
-        fits = [self._fit(flight, since, end) for (since, _), end in zip(self._bounds, ends, strict=True)]
-        regimes = tuple(
-            Regime(since, end, found.model if found else None, alarm)
-            for (since, alarm), end, found in zip(self._bounds, ends, fits, strict=True)
-        )
-        for axes, group in self._groups.items():
-            part = _part(flight, group.since, now) if group.fitted else None
-            if fits[-1] and group.since == self._bounds[-1][0]:
-                self._groups[axes] = replace(group, fitted=group_estimate(fits[-1], axes, now))
-            elif part:  # axes that did not change are still fitted to more than the last regime
-                self._groups[axes] = replace(group, fitted=refitted(part, axes, self._structure, now))
+        groups = groups_of([flight], flight.axes) or [AXES]
+        regimes, last = regimes_of(flight, self._bounds, groups, self._structure, now)
+        known = {axes: self._groups.get(axes, Group(axes, max(self._since[axis] for axis in axes))) for axes in groups}
+        self._groups = {axes: replace(one, fitted=last.get(axes, one.fitted)) for axes, one in known.items()}
         return replace(self._tracked(flight, now, ()), landed=True), regimes
-
-    def _fit(self, flight: Flight, since: float, end: float) -> Fit | None:
-        """The fit of a regime; None if it is too short."""
-        part = _part(flight, since, end)
-        return fit([part], structure=self._structure) if part and part.duration >= LEAST_TIME else None
 
     def _looked(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
         """A group after this look."""
@@ -279,12 +238,12 @@ class Following:
         group = self._groups.get(axes, Group(axes, since))
         if group.since != since:
             group = Group(axes, since, answers=group.answers)
-        part = group.part(flight, _looks_back(since, now), now)
+        part = group.part(flight, looks_back(since, now), now)
         if part is None or part.duration < LEAST_TIME:
             return group
-        excited = group.excited + _excited(flight, axes, max(group.looked, since), now)
+        excited = group.excited + excited_time(flight, axes, max(group.looked, since), now)
         group, before = replace(group, excited=excited, looked=now), group.fitted
-        if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
+        if before and all(quiet_for(flight, axis, now) > QUIET for axis in axes):
             return replace(group, fitted=renewed(before, part))  # no excitation: the last values hold
         if before is None or grown(before.seen, excited, REFIT if before.estimates and self._often else growth(before)):
             return replace(group, fitted=refitted(part, axes, self._structure, excited))
@@ -308,13 +267,14 @@ class Following:
         before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
         if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in before.groups.values()):
             return None  # no window has a rest that is long enough
-        known = _renewed(before.groups, flight, now)
+        known = renewed_groups(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
+        watched = self._watched_again()
         looked, count = looked_together(list(scored.values()), lengths)
         for scores in scored.values():
             axes = {name.partition(".")[0] for name in scores.names}
-            if not axes <= self._watched.keys() and compares(scores, lengths):
-                self._watched = {**dict.fromkeys(axes, now), **self._watched}
+            if not raised and not axes <= watched.keys() and compares(scores, lengths):
+                self._watched = {**self._watched, **dict.fromkeys(axes - watched.keys(), now)}
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
         if raised:
@@ -328,7 +288,7 @@ class Following:
             p_value = max(p_value, in_any_air(names, under, lengths))
             if p_value > threshold:
                 return None  # perhaps a gust
-        best, since = since_when(scored[names], first, looked[names])
+        best = likeliest(scored[names], first, looked[names])
         if not raised and not calm(scored[names], best.since, p_value):
             return None  # the air, not the vehicle
         if not raised and self._at_rest(flight, now, names, threshold):
@@ -340,6 +300,7 @@ class Following:
             if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
         ]
         named = diagnosis([(scored[names], best), *others])
+        when, since = changed_when(scored[names], earliest(scored[names], first))
         alarm = Alarm(
             time=now,
             axes=tuple(axis for axis in AXES if axis in named.axes),
@@ -352,15 +313,20 @@ class Following:
             revises=raised.alarm.time if raised else None,
         )
         self._raised = None if raised else _Raised(alarm, names, first, looked, before)
-        self._begin(alarm, best.since, before)
+        self._begin(alarm, when, before)
         return alarm
 
-    def _begin(self, alarm: Alarm, since: float, before: _Before) -> None:
+    def _watched_again(self) -> dict[str, float]:
+        """Axis to the time of the first test since its last alarm that could have raised another [s]."""
+        raised = {axis: alarm.raised for _, alarm in self._bounds if alarm for axis in alarm.axes}
+        return {axis: time for axis, time in self._watched.items() if time > raised.get(axis, 0.0)}
+
+    def _begin(self, alarm: Alarm, when: float, before: _Before) -> None:
         """Begins a regime for the axes of an alarm; an axis that only its first version named is as it was before."""
-        changed = dict.fromkeys(alarm.axes, since)
-        self._known = {axis: time for axis, time in self._known.items() if axis not in changed}
-        self._since, self._changed = {**before.since, **changed}, {**before.changed, **changed}
-        self._bounds = sorted([*before.bounds, (since, alarm)], key=lambda bound: bound[0])
+        self._known = {axis: time for axis, time in self._known.items() if axis not in alarm.axes}
+        self._since = {**before.since, **{axis: learnt_from(alarm, (axis,)) for axis in alarm.axes}}
+        self._changed = {**before.changed, **dict.fromkeys(alarm.axes, when)}
+        self._bounds = sorted([*before.bounds, (when, alarm)], key=lambda bound: bound[0])
         groups = dict(self._groups)
         for axes, group in groups.items():
             known = before.groups.get(axes, group)
@@ -368,7 +334,7 @@ class Following:
                 laws = {axis: known.fitted.fit.model.axes[axis].structure for axis in known.fitted.estimates}
                 self._laws |= {axis: law for axis, law in laws.items() if axis in alarm.axes}
             if set(axes) & set(alarm.axes):
-                groups[axes] = Group(axes, since, answers=group.answers)
+                groups[axes] = Group(axes, learnt_from(alarm, axes), answers=group.answers)
             elif group.since != known.since:
                 groups[axes] = known
         self._groups = groups
@@ -404,7 +370,7 @@ class Following:
                 continue
             late = [late_by(one) for one in group.fitted.estimates.values()]
             apart = replace(group, answers=min(late))
-            begin = _looks_back(group.since, now)
+            begin = looks_back(group.since, now)
             part = apart.part(flight, begin, now)
             if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * (now - begin):
                 continue
@@ -418,7 +384,7 @@ class Following:
 
     def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
         """The state in words and numbers."""
-        held = {axis for group in self._groups.values() for axis in _held(group, flight, now)}
+        held = {axis for group in self._groups.values() for axis in held_axes(group, flight, now)}
         known = {axis: None if axis in held else one.fitted for axes, one in self._groups.items() for axis in axes}
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
         report = {axis: axis_report(one, axis) for axis, one in known.items() if one}
@@ -477,7 +443,7 @@ class Following:
             if fitted and axis in fitted.estimates and structure != law:
                 state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
-        out = TrackedAxis(knowledge, state, watched=self._watched.get(axis))
+        out = TrackedAxis(knowledge, state, watched=self._watched_again().get(axis))
         if fitted and report:
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure
@@ -500,35 +466,6 @@ def next_look(due: float, now: float, every: float = EVERY) -> float:
     return due + every * max(float(np.ceil((now - due) / every + 1e-9)), 1.0)
 
 
-def _held(group: Group, flight: Flight, now: float) -> tuple[str, ...]:
-    """The axes of a group whose commands so far are a position controller's, if its last fit was too short to tell."""
-    if group.fitted is None or sum(part.duration for part in group.fitted.fit.flights) > ENOUGH:
-        return ()
-    part = group.part(flight, group.since, now)
-    return restored_axes([part], group.axes, FEW) if part else ()
-
-
-def _renewed(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
-    """The estimates of groups, unmoved, applied to the flight so far; those of a look at this moment are already."""
-    out = []
-    for group in groups.values():
-        if group.fitted is None:
-            continue
-        part = group.part(flight, _looks_back(group.since, now), now)
-        if part and part.duration >= LEAST_TIME:
-            out.append(group.fitted if group.looked == now else renewed(group.fitted, part))
-    return out
-
-
-def _looks_back(since: float, now: float) -> float:
-    """Time from which the estimates of a look use the flight [s]: at least `LONGEST` back, in a regime that is so long.
-
-    It moves in steps: what was learnt of the velocity there holds until the next.
-    """
-    step = BEGINS * LONGEST
-    return max(since, step * float(np.floor((now - LONGEST) / step)))
-
-
 def _knowledge(
     flight: Flight, axis: str, now: float, fitted: GroupEstimate | None, report: AxisReport | None
 ) -> tuple[Knowledge, str]:
@@ -540,7 +477,7 @@ def _knowledge(
     if axis not in fitted.estimates:
         silent = fitted.fit.model.axes[axis].status["input"] == "not_excited"
         return ("not_excited", "not excited") if silent else ("learning", "learning")
-    quiet = _quiet(flight, axis, now)
+    quiet = quiet_for(flight, axis, now)
     if quiet > QUIET:
         return "holding", f"holding (no excitation for {quiet:.0f} s)"
     if all(report.values[name] is not None for name in ("input", "damping", "delay")):
@@ -550,46 +487,3 @@ def _knowledge(
 
 def _around(value: float, error: float) -> Interval:
     return value - NORMAL * error, value + NORMAL * error
-
-
-def _quiet(flight: Flight, axis: str, now: float) -> float:
-    """How long the command of an axis has not changed [s]."""
-    u = flight.command[:, AXES.index(axis)]
-    new = np.flatnonzero(np.diff(u))
-    return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
-
-
-def _excited(flight: Flight, axes: Sequence[str], since: float, now: float) -> float:
-    """Excited time between two instants [s]: at most `QUIET` after each new command of some axes."""
-    u = flight.command[:, [AXES.index(axis) for axis in axes]]
-    new = flight.command_time[1:][np.any(np.diff(u, axis=0) != 0, axis=1)]
-    answered = np.minimum(np.append(new[1:], now), new + QUIET)
-    return float(np.maximum(answered - np.maximum(new, since), 0.0).sum())
-
-
-def _part(flight: Flight, since: float, now: float) -> Flight | None:
-    """The flight between two times [s]; None if no segment lies there."""
-    if since <= flight.segments[0].start and now >= flight.segments[-1].end:
-        return flight
-    part = between(flight, since, now)
-    return part if part.segments and part.pose_time.size > 1 else None
-
-
-def scores_of_groups(fitted: Sequence[GroupEstimate], flight: Flight, gusts: int | None = None) -> list[Scores]:
-    """The scores of each likelihood of the given groups.
-
-    Args:
-        fitted: Their estimates.
-        flight: The flight so far.
-        gusts: As for `scores_of`.
-    """
-    return scores_of([part for one in fitted for part in _likelihoods(one)], let_go(flight), gusts)
-
-
-def _likelihoods(fitted: GroupEstimate) -> list[tuple[Estimates, Doubts]]:
-    """The likelihoods of a group, each with the doubts about its laws."""
-    by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
-    for axis, estimate in fitted.estimates.items():
-        by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))
-    doubts = {axis: doubt_of(fitted.fit.model.axes[axis]) for axis in fitted.estimates}
-    return [(each, doubts) for each in by_optimum.values() if each[0][1].records]

@@ -138,10 +138,12 @@ def together(parts: Sequence[GroupEstimate]) -> Model | None:
     """The last refits, combined into one model; None before the first.
 
     Args:
-        parts: The estimate of each group of axes that has been fitted.
+        parts: The estimate of each group of axes that has been fitted, each to one flight, or to a part of one.
     """
     if not parts:
         return None
+    if all(part.fit is parts[0].fit for part in parts):
+        return parts[0].fit.model
     models = {axis: part.fit.model for part in parts for axis in part.group}
     names = tuple(
         name for part in parts for name in part.fit.model.covariance_names if name.partition(".")[0] in part.group
@@ -151,13 +153,27 @@ def together(parts: Sequence[GroupEstimate]) -> Model | None:
         own = [k for k, name in enumerate(names) if name.partition(".")[0] in part.group]
         there = [part.fit.model.covariance_names.index(names[k]) for k in own]
         covariance[np.ix_(own, own)] = part.fit.model.covariance[np.ix_(there, there)]
-    axes = {axis: models[axis].axes[axis] if axis in models else unknown_axis("too_short") for axis in AXES}
+    sources = {axis: model.flights[0] for axis, model in models.items()}
+    spans = tuple(dict.fromkeys(source.span for source in sources.values()))
+    flights = []
+    for span in spans:
+        served = [axis for axis, source in sources.items() if source.span == span and axis in source.axes]
+        source = next(source for source in sources.values() if source.span == span)
+        flights.append(replace(source, axes=tuple(axis for axis in AXES if axis in served)))
+    commanded = {axis for source in sources.values() for axis in source.axes}
+    axes = {axis: unknown_axis("too_short" if axis in commanded else "not_excited") for axis in AXES}
+    for axis, model in models.items():
+        one = model.axes[axis]
+        axes[axis] = replace(
+            one, trim=tuple(t for s in spans for t in (one.trim or (None,) if s == sources[axis].span else (None,)))
+        )
     structures = {one.structure for one in axes.values() if one.predictor}
     first = parts[0].fit.model
     return replace(
         first,
         structure="mixed" if len(structures) > 1 else next(iter(structures), STRUCTURE),
         axes=axes,
+        flights=tuple(flights),
         covariance_names=names,
         covariance=covariance,
         paper=tuple(models.get(axis, first).paper[2 * k + j] for k, axis in enumerate(AXES) for j in range(2)),

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.frozen import with_frozen
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import with_findings
 from rotorfit.core.tracked import Track, Tracked
@@ -60,7 +61,7 @@ def tracked(
     last, regimes = following.finish(flight, flight.segments[-1].end)
     on_state(last)
     regimes = tuple(
-        replace(one, model=one.model and with_findings(one.model, (*flight.findings, *one.model.findings)))
+        replace(one, model=one.model and with_frozen(with_findings(one.model, (*flight.findings, *one.model.findings))))
         for one in regimes
     )
     return Track((*states, last), regimes)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES, Array, Indices
+from rotorfit.core.frames import AXES, Array, Indices, Mask
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
@@ -43,12 +43,18 @@ out."""
 EXPECTED_OTHER = 0.5
 """As `EXPECTED`, for any other parameter of a law, in the estimator's coordinate."""
 
+LEAST_DOUBT = {"input": 0.015, "delay": 0.002, "trim": 0.015}
+"""Standard deviation by which an answer differs from the law without a change, whatever the tests of the law found, in
+the units of `EXPECTED`: in still air the poses tell changes that no pilot and no controller would notice, and the
+braking of x and y, a tilt or a stale command moves z by as much."""
+
 FADES = 0.7
 """Time constant with which an autopilot learns a new weight or torque [s]."""
 
 BRAKES = 1.0
-"""Time after the commands of x and y become zero in which z and yaw are not tested [s]: many autopilots then brake with
-the largest tilt, and no law describes what that does to z and yaw."""
+"""Time after the commands of x and y become zero in which z and yaw are not tested, nor x and y where their fit leaves
+the rest out and an answer begins so soon [s]: many autopilots then brake with the largest tilt, which no law describes.
+"""
 
 LASTS = 4.0
 """Length of the matched filters of jolts [s]."""
@@ -182,10 +188,7 @@ class _Whitened:
         self._levels = np.repeat(point.levels[None], 1 + len(GUST_POWERS), axis=0)
         self._levels[1:, :, 0] += np.log(GUST_POWERS)[:, None]
         rows, innovations, variance = whiten_under(self._rec, self._columns, self._levels)
-        self._valid = np.ones(self._rec.count.size)
-        if estimates[0][0] in TRIMMED and let_go.size:
-            last = np.searchsorted(let_go, self._rec.block_time, side="right") - 1
-            self._valid[(last >= 0) & (self._rec.block_time < let_go[last] + BRAKES)] = 0.0
+        self._valid = np.where(_brakes(self._rec, let_go, estimates[0][0] in TRIMMED), 0.0, 1.0)
         density = -0.5 * (innovations**2 + np.log(variance)) * self._valid[:, None]
         self._density = density.reshape(len(self._levels), -1).T
         self.scores = self._scored(rows)
@@ -216,12 +219,12 @@ class _Whitened:
                 tested.append(columns[:, point.place(name, k)] * unit)
                 names.append(f"{axis}.{name}")
                 scale.append(size)
-                doubt.append(self._doubts.get(axis, {}).get(name, 0.0) / size)
+                doubt.append(max(self._doubts.get(axis, {}).get(name, 0.0), LEAST_DOUBT.get(name, 0.0)) / size)
             if axis in TRIMMED:
                 tested.append(columns[:, trim + k] * EXPECTED["trim"])
                 names.append(f"{axis}.trim")
                 scale.append(EXPECTED["trim"])
-                doubt.append(0.0)
+                doubt.append(LEAST_DOUBT["trim"] / EXPECTED["trim"])
                 own.append(k)
         segment = np.repeat(np.cumsum(self._rec.fresh) - 1, K)
         free = [columns[:, trim + k] for k in range(K) if k not in own]
@@ -231,6 +234,16 @@ class _Whitened:
             time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale),
             np.array(doubt), columns[:, start + K :], self._density,
         )  # fmt: skip
+
+
+def _brakes(rec: Record, let_go: Array, throughout: bool) -> Mask:
+    """The blocks within `BRAKES` of a let-go, shape (B,): all, or only answers that begin while the vehicle brakes."""
+    if not let_go.size:
+        return np.zeros(rec.count.size, dtype=bool)
+    last = np.searchsorted(let_go, rec.block_time, side="right") - 1
+    begun = rec.block_time[np.flatnonzero(rec.fresh)][np.cumsum(rec.fresh) - 1]
+    brakes = (last >= 0) & (rec.block_time < let_go[last] + BRAKES)
+    return brakes if throughout else brakes & (begun > let_go[last])
 
 
 def _in_one_air(seen: Sequence[_Whitened], gusts: int | None) -> list[Scores]:

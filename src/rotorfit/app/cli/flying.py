@@ -170,13 +170,13 @@ def _check_tracking(card: "Mapping[str, Any]", after: Path | None, gains: str | 
     """
     from rotorfit.app.live.regained import regaining_of
     from rotorfit.files.cards import card_from_mapping
-    from rotorfit.tracking.earlier import another_card, check_earlier, earlier_of
+    from rotorfit.tracking.earlier import check_earlier, earlier_of, limits_of_earlier
 
     earlier = earlier_of(after) if after else None
     if earlier:
         flown = card_from_mapping(card, "the plan's card")
         check_earlier(earlier, flown)
-        if told := another_card(earlier, flown):
+        for told in limits_of_earlier(earlier, flown):
             click.echo(told, err=True)
     if gains is not None:
         regaining_of(gains, lambda _message, _now: None, say_kept, earlier)

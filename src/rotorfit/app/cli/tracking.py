@@ -194,7 +194,7 @@ def _replayed(
     from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
     from rotorfit.flying.operator import operator_abort
-    from rotorfit.tracking.earlier import another_card
+    from rotorfit.tracking.earlier import limits_of_earlier
     from rotorfit.tracking.replayed import tracked
 
     flight = load_flight(parse_log(log), card)
@@ -204,7 +204,7 @@ def _replayed(
     for finding in flight.findings:
         if finding.severity != "info":
             click.echo(f"{finding.severity} {finding.code}: {finding.evidence}; {finding.remedy}", err=True)
-    if earlier and (told := another_card(earlier, flight.card)):
+    for told in limits_of_earlier(earlier, flight.card) if earlier else ():
         click.echo(f"{log}: {told}", err=True)
     begun, show_state = time.monotonic(), _shown(jsonl)
     if regaining:
@@ -241,7 +241,7 @@ def _listened(
     from rotorfit.flying.listening import Listening
     from rotorfit.flying.mission import check_new
     from rotorfit.flying.operator import operator_abort
-    from rotorfit.tracking.earlier import another_card
+    from rotorfit.tracking.earlier import limits_of_earlier
     from rotorfit.tracking.flight_so_far import UNRECORDED
     from rotorfit.tracking.tracker import Tracker
 
@@ -253,7 +253,7 @@ def _listened(
         line_cleared()
         click.echo(f"{link}: {text}", err=True)
 
-    if earlier and (told := another_card(earlier, chosen)):
+    for told in limits_of_earlier(earlier, chosen) if earlier else ():
         say(told)
     show_state = _shown(jsonl)
     with operator_abort() as abort:

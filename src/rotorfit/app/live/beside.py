@@ -53,11 +53,6 @@ def tracked_beside(asked: Mapping[str, Any] | None) -> Iterator[Beside | None]:
         beside.close()
 
 
-def words_of(state: Tracked) -> str:
-    """The state of each axis, in a few words."""
-    return ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
-
-
 def gains_of(message: Mapping[str, Any]) -> list[str]:
     """New gains, in words for each axis."""
     return [
@@ -101,7 +96,7 @@ def main() -> None:
         for one in state.alarms:
             raised[one.time] = f"{one.time:.2f} s  {one.title}: {one.why}"
             alarms.append((raised[one.time], raised.get(one.raised) if one.revises is not None else None))
-        told = {"time": state.time, "words": words_of(state), "alarms": alarms, "gains": list(gains)}
+        told = {"time": state.time, "words": state.words, "alarms": alarms, "gains": list(gains)}
         gains.clear()
         print(json.dumps({**told, "summary": summary}), file=answers, flush=True)
 

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, title
 from rotorfit.core.frames import POSE_UNITS
-from rotorfit.core.tracked import QUANTITIES, TIMES, Air, Alarm, Track, Tracked, TrackedAxis
+from rotorfit.core.tracked import QUANTITIES, TIMES, Air, Alarm, Track, Tracked, TrackedAxis, other_law
 
 UNITS = {
     "input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "zero": "s", "steady_gain": "{}/s", "total_lag": "s",
@@ -22,19 +22,31 @@ SHOWN_AT_ONCE = ("known", "not_identifiable")
 
 
 def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
-    """Alarms, the axes whose state of knowledge has changed since a second ago, and the mean wind where it begins."""
+    """Alarms, the axes whose knowledge or law has changed since a second ago, and where watch and wind begin."""
     for alarm in state.alarms:
         yield from alarm_view(alarm)
     for name, axis in state.axes.items():
         earlier = before.axes.get(name) if before else None
         new = axis.knowledge != "learning" or axis.earlier if earlier is None else earlier.knowledge != axis.knowledge
-        if new:
-            yield _line(state.time, name, f"{axis.state}{_numbers(axis)}")
+        other = earlier is not None and other_law(earlier, axis)
+        if new or other:
+            told = earlier and other and "(law " not in axis.state  # after a change the state itself names both
+            law = f" (law {axis.structure}, before {earlier.structure})" if earlier and told else ""
+            yield _line(state.time, name, f"{axis.state}{law}{_numbers(axis)}")
+    if begun := _begun(before, state):
+        yield _line(state.time, ", ".join(begun), "watched for changes from here on")
     given = before is not None and before.air is not None
     if state.air and not given:
         yield _line(state.time, "air", f"{_wind(state.air)}; x and y are now known well enough for it")
     elif given and not state.air:
         yield _line(state.time, "air", "x and y are no longer known well enough for the wind")
+
+
+def _begun(before: Tracked | None, state: Tracked) -> list[str]:
+    """The axes about which an alarm can be raised now, and could not a second ago."""
+    earlier = before.axes if before else {}
+    watched = [name for name, axis in state.axes.items() if axis.watched is not None]
+    return [name for name in watched if name not in earlier or earlier[name].watched is None]
 
 
 def _line(time: float, name: str, text: str) -> Text:
@@ -67,8 +79,7 @@ def _times(name: str, change: float) -> str:
 
 def line_of(state: Tracked) -> str:
     """The state in one line."""
-    axes = ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
-    return f"{state.time:.0f} s: {axes or 'listening'}  (Ctrl-C ends)"
+    return f"{state.time:.0f} s: {state.words or 'listening'}  (Ctrl-C ends)"
 
 
 def alarm_view(alarm: Alarm) -> View:
@@ -129,6 +140,7 @@ def track_view(result: Track) -> View:
     yield from bullets(
         f"{name} against the earlier model: {_apart(axis)}" for name, axis in last.axes.items() if axis.against
     )
+    yield from bullets(result.laws_at_end)
     if result.watch:
         yield indented(result.watch, 0)
     if last.air:

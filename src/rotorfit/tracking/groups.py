@@ -1,0 +1,128 @@
+"""Groups of axes that are fitted together: which part of the flight serves each, and its estimate now."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.diagnosis.position_loop import restored_axes
+from rotorfit.estimation.identifiability import LEAST_TIME
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.optima import between
+from rotorfit.estimation.zero_command import commanded_parts
+from rotorfit.tracking.refits import LONGEST, GroupEstimate, doubt_of, renewed
+from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
+
+BEGINS = 0.1
+"""Step by which the beginning of what a look uses of a long regime moves, as a share of `LONGEST`."""
+
+ENOUGH, FEW = 11.0, 20
+"""Time from which on a fit tests whether an axis is only held [s]: `position_loop.LEAST` averages. Before that the test
+is made at each look, with this number of averages."""
+
+QUIET = 5.0
+"""Time without a new command after which an axis is `holding` [s]: by then it has answered the last one."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Axes that are fitted together.
+
+    Attributes:
+        axes: Names.
+        since: Start of their regime [s].
+        fitted: Their estimate; None before the first fit.
+        excited: Excited time since the start of the regime [s].
+        looked: Time up to which `excited` was counted [s].
+        answers: Delay of the answers to commands and twice their lag [s], if only those are fitted because the axes
+            obey another law at rest; None if all of the flight is.
+    """
+
+    axes: tuple[str, ...]
+    since: float
+    fitted: GroupEstimate | None = None
+    excited: float = 0.0
+    looked: float = 0.0
+    answers: float | None = None
+
+    def part(self, flight: Flight, since: float, now: float) -> Flight | None:
+        """The part of a flight between two times [s] that is fitted; None if it is empty."""
+        part = part_between(flight, since, now)
+        if part is None or self.answers is None:
+            return part
+        part = commanded_parts(part, self.axes, self.answers)
+        return part if part.segments else None
+
+
+def held_axes(group: Group, flight: Flight, now: float) -> tuple[str, ...]:
+    """The axes of a group whose commands so far are a position controller's, if its last fit was too short to tell."""
+    if group.fitted is None or sum(part.duration for part in group.fitted.fit.flights) > ENOUGH:
+        return ()
+    part = group.part(flight, group.since, now)
+    return restored_axes([part], group.axes, FEW) if part else ()
+
+
+def renewed_groups(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
+    """The estimates of groups, unmoved, applied to the flight so far; those of a look at this moment are already."""
+    out = []
+    for group in groups.values():
+        if group.fitted is None:
+            continue
+        part = group.part(flight, looks_back(group.since, now), now)
+        if part and part.duration >= LEAST_TIME:
+            out.append(group.fitted if group.looked == now else renewed(group.fitted, part))
+    return out
+
+
+def looks_back(since: float, now: float) -> float:
+    """Time from which the estimates of a look use the flight [s]: at least `LONGEST` back, in a regime that is so long.
+
+    It moves in steps: what was learnt of the velocity there holds until the next.
+    """
+    step = BEGINS * LONGEST
+    return max(since, step * float(np.floor((now - LONGEST) / step)))
+
+
+def quiet_for(flight: Flight, axis: str, now: float) -> float:
+    """How long the command of an axis has not changed [s]."""
+    u = flight.command[:, AXES.index(axis)]
+    new = np.flatnonzero(np.diff(u))
+    return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
+
+
+def excited_time(flight: Flight, axes: Sequence[str], since: float, now: float) -> float:
+    """Excited time between two instants [s]: at most `QUIET` after each new command of some axes."""
+    u = flight.command[:, [AXES.index(axis) for axis in axes]]
+    new = flight.command_time[1:][np.any(np.diff(u, axis=0) != 0, axis=1)]
+    answered = np.minimum(np.append(new[1:], now), new + QUIET)
+    return float(np.maximum(answered - np.maximum(new, since), 0.0).sum())
+
+
+def part_between(flight: Flight, since: float, now: float) -> Flight | None:
+    """The flight between two times [s]; None if no segment lies there."""
+    if since <= flight.segments[0].start and now >= flight.segments[-1].end:
+        return flight
+    part = between(flight, since, now)
+    return part if part.segments and part.pose_time.size > 1 else None
+
+
+def scores_of_groups(fitted: Sequence[GroupEstimate], flight: Flight, gusts: int | None = None) -> list[Scores]:
+    """The scores of each likelihood of the given groups.
+
+    Args:
+        fitted: Their estimates.
+        flight: The flight so far.
+        gusts: As for `scores_of`.
+    """
+    return scores_of([part for one in fitted for part in _likelihoods(one)], let_go(flight), gusts)
+
+
+def _likelihoods(fitted: GroupEstimate) -> list[tuple[Estimates, Doubts]]:
+    """The likelihoods of a group, each with the doubts about its laws."""
+    by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
+    for axis, estimate in fitted.estimates.items():
+        by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))
+    doubts = {axis: doubt_of(fitted.fit.model.axes[axis]) for axis in fitted.estimates}
+    return [(each, doubts) for each in by_optimum.values() if each[0][1].records]

@@ -1,0 +1,90 @@
+"""When did it change? The posterior distribution of the instant, from one likelihood.
+
+With a change at t, the whitened innovations are y = X b + Z_t s + noise: X has the sensitivities of all rows, and b is
+what the regime leaves unknown of its coefficients, trims and start velocities, with a flat prior. Z_t has those of the
+rows after t to the parameters that may change, and s their shifts, normal with the sizes that a test looks for. On z
+and yaw a push begins at t, too, that fades as the autopilot learns it. With b and s integrated out,
+
+    log p(t) = -S(t) / 2 - log det(A(t)) / 2,
+
+where S(t) is the least sum of squares of the residuals and of the shifts, in their standard deviations, and A(t) the
+matrix of its normal equations. All instants of the grid are equally likely beforehand.
+
+Source: A. F. M. Smith, "A Bayesian approach to inference about a change-point in a sequence of random variables",
+Biometrika 62 (1975), pp. 407-416, applied to a linear regression with a proper prior of the shift.
+"""
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.tracking.scores import LASTS, Scores
+
+SPACING = 0.05
+"""Grid spacing of the instants [s]."""
+
+PUSH = 3.0
+"""Standard deviation of the push, in the unit of the jolts of the scores: a sixth of the weight."""
+
+SLACK = 0.1
+"""By how much the interval is widened at both ends [s]: a rotor and a radio take as long to pass a change on."""
+
+FLAT = 1e-9
+"""Ridge of the parameters with a flat prior, as a share of the largest: it decides only what the rows leave open."""
+
+
+def changed_when(scores: Scores, low: float) -> tuple[float, tuple[float, float]]:
+    """The likeliest instant of a change, and its central 95 % interval [s].
+
+    Args:
+        scores: Those of the likelihood that shows the change.
+        low: Earliest instant that is considered [s].
+    """
+    now = (scores, *scores.under_gusts)[scores.gusts]
+    instants = np.arange(low, now.time[-1], SPACING)
+    first = np.searchsorted(now.time, instants)
+    products = np.array([_products(now, scores.jolts, at) for at in first])
+    known = now.rows.shape[1] - 1
+    log, solution = _log_posterior(products, known)
+    best = int(np.argmax(log))
+    products /= _mean_square(now, scores.jolts, first[best], solution[best])
+    log, _ = _log_posterior(products, known)
+    share = np.exp(log - log.max())
+    early, late = instants[np.searchsorted(np.cumsum(share), np.array([0.025, 0.975]) * share.sum())]
+    return float(instants[np.argmax(log)]), (float(early) - SLACK, min(float(late) + SLACK, float(now.time[-1])))
+
+
+def _shifts(scores: Scores, jolts: Array, at: int) -> Array:
+    """Sensitivities of the rows from `at` on to shifts that begin there, shape (N - at, P), or (N - at, P + 1)."""
+    shifts = scores.tested[at:]
+    if not jolts.size:
+        return shifts
+    shape = jolts[int(np.searchsorted(scores.time, scores.time[-1] - LASTS)) :, 0]
+    push = np.zeros(len(shifts))
+    push[: shape.size] = PUSH * shape[: push.size]
+    return np.column_stack([shifts, push])
+
+
+def _products(scores: Scores, jolts: Array, at: int) -> Array:
+    """Inner products of the innovations, of the columns of X and of those of Z, for a change at a row."""
+    shifts = _shifts(scores, jolts, at)
+    across = scores.rows[at:].T @ shifts
+    return np.block([[scores.products, across], [across.T, shifts.T @ shifts]])
+
+
+def _log_posterior(products: Array, known: int) -> tuple[Array, Array]:
+    """Log-density of each instant, up to a constant, and the solution b, s; the first `known` have a flat prior."""
+    normal, right = products[:, 1:, 1:].copy(), products[:, 1:, 0]
+    flat, shifted = np.arange(known), np.arange(known, right.shape[1])
+    normal[:, flat, flat] += FLAT * normal[:, flat, flat].max(axis=1, keepdims=True) + np.finfo(float).tiny
+    normal[:, shifted, shifted] += 1.0
+    solution = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    squares = products[:, 0, 0] - (right * solution).sum(axis=1)
+    return np.asarray(-0.5 * squares - 0.5 * np.linalg.slogdet(normal)[1]), np.asarray(solution)
+
+
+def _mean_square(scores: Scores, jolts: Array, at: int, solution: Array) -> float:
+    """Mean square of the residuals before or after a change, the larger; at least 1."""
+    known = scores.rows.shape[1] - 1
+    left = scores.innovation - scores.rows[:, 1:] @ solution[:known]
+    left[at:] -= _shifts(scores, jolts, at) @ solution[known:]
+    return max(1.0, *(float(np.mean(part**2)) for part in np.split(left, [at]) if part.size > solution.size))
