@@ -16,9 +16,8 @@ from rotorfit.dynamics.trajectory import state_space
 from rotorfit.dynamics.transfer_function import law_response, sine_response
 from rotorfit.estimation import fitting
 from rotorfit.estimation.fitting import estimate_group, fit
-from rotorfit.estimation.likelihood import law_average, richer_laws
+from rotorfit.estimation.likelihood import law_average
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
-from rotorfit.estimation.likelihood.optima import STARTS, between
 from rotorfit.estimation.likelihood.richer_laws import under_law
 from rotorfit.files.log_span import parse_log
 from rotorfit.files.models import from_mapping, to_mapping
@@ -211,20 +210,3 @@ def test_no_law_brings_back_an_optimum_that_the_search_has_left_out(
     assert known is None or known.delay > 0.1  # of the likelier optimum it is 0.02 s
     known = late.model.axes["yaw"].predictor
     assert known is None or known.input > 0
-
-
-@pytest.mark.parametrize("name", [PLAIN, LAGGED, LOOP])
-def test_a_fit_from_the_optima_of_half_its_flight_is_the_same_without_a_search(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    flight = flown_by(name, duration=40.0, seed=4, wind=0.05, noise=0.001)
-    half, whole = (fit([part], axes=("z",)) for part in (between(flight, 0.0, 20.0), flight))
-    monkeypatch.setattr(richer_laws, "law_starts", lambda *_: pytest.fail("searched"))
-
-    again = fit([flight], axes=("z",), near=half.estimates)
-
-    assert sum(one.starts for one in again.estimates["z"].found) < len(STARTS)
-    one, other = again.model.axes["z"], whole.model.axes["z"]
-    assert one.structure == other.structure
-    for key in ("input", "damping", "delay"):
-        assert getattr(one, key) == pytest.approx(getattr(other, key), abs=0.05 * (other.stderr[key] or np.nan))

@@ -23,7 +23,6 @@ from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, ex
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached
 from rotorfit.estimation.likelihood.law_selection import effective_samples
 from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
-from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
 from rotorfit.estimation.likelihood.richer_laws import PriorOf, estimate_laws, under_law
 
@@ -76,23 +75,17 @@ class Family:
 
 
 def families(
-    serving: Sequence[Flight],
-    estimates: Mapping[str, Estimate],
-    priors: Mapping[str, Mapping[str, Prior]],
-    near: Mapping[str, Estimate] | None = None,
+    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
 ) -> dict[str, Family]:
     """The default laws of the axes of one group; arguments as for `default_laws`."""
     return {
-        axis: _weighed(plain, _needed(serving, plain, richer), (plain, *richer))
-        for axis, (plain, *richer) in default_laws(serving, estimates, priors, near).items()
+        axis: _weighed(plain, _needed(serving, plain, richer))
+        for axis, (plain, *richer) in default_laws(serving, estimates, priors).items()
     }
 
 
 def default_laws(
-    serving: Sequence[Flight],
-    estimates: Mapping[str, Estimate],
-    priors: Mapping[str, Mapping[str, Prior]],
-    near: Mapping[str, Estimate] | None = None,
+    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
 ) -> dict[str, tuple[Estimate, ...]]:
     """The maximum of every default law that an axis may have, the first-order law with a delay first.
 
@@ -100,23 +93,19 @@ def default_laws(
         serving: The flights of the group.
         estimates: Estimates under the first-order law with a delay, by axis.
         priors: Priors of the card by axis and coefficient; empty to use none.
-        near: Estimates of the axes from a part of the data, whose maxima take the place of a search.
     """
-    known = {axis: near[axis].laws if near and axis in near else () for axis in estimates}
 
     def prior_of(axes: Sequence[str], structures: Sequence[Structure]) -> GaussianPrior | None:
         return lag_prior(structures, gaussian_prior(priors, axes))
 
     group = tuple(estimates)
-    if not all(known.values()):
-        estimates = _relevelled(estimates)
-    tops = {axis: laws[1] for axis, laws in known.items() if len(laws) > 1}
-    lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of, tops)
+    estimates = _relevelled(estimates)
+    lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of)
     out: dict[str, tuple[Estimate, ...]] = {}
     for axis, plain in estimates.items():
         out[axis] = (plain, lagged[axis]) if plain.excited else (plain,)
         if plain.excited and axis in WITH_LOOP:
-            out[axis] += (_led(axis, lagged[axis], plain, prior_of, known[axis][2] if len(known[axis]) > 2 else None),)
+            out[axis] += (_led(axis, lagged[axis], plain, prior_of),)
     return out
 
 
@@ -144,11 +133,11 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
     return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
 
 
-def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf, near: Point | None) -> Estimate:
+def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Estimate:
     """The law with a zero, climbed from the levels of the likelier of the other two."""
     better = max((lagged, plain), key=lambda one: one.optimum.score.log_likelihood)
     levels = replace(plain.optimum, point=replace(plain.optimum.point, levels=better.optimum.point.levels))
-    return under_law(replace(plain, optimum=levels), axis, LED, prior_of, near)
+    return under_law(replace(plain, optimum=levels), axis, LED, prior_of)
 
 
 def _needed(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimate]) -> list[Estimate]:
@@ -176,11 +165,10 @@ def _moves_as_lagged(led: Estimate) -> bool:
     return overdamped and value["zero"] < NO_ZERO
 
 
-def _weighed(plain: Estimate, tried: Sequence[Estimate], every: Sequence[Estimate]) -> Family:
+def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:
     """The laws with their posterior weights from equal prior weights; laws whose climb has not ended are left out."""
     ended = [one for one in tried if not unfinished(one.optimum, one.place)]
-    plain = replace(no_worse(plain, ended), laws=(tops := tuple(one.optimum.point for one in every)))
-    ended = [replace(one, laws=tops) for one in ended]
+    plain = no_worse(plain, ended)
     if not ended:
         return Family(plain, (Law(plain, 1.0),))
     laws = [plain, *ended]

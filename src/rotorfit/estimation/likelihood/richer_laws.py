@@ -14,11 +14,10 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, heading_from_world, world_from_heading
 from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Structure
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, free_of, maximise_restricted
-from rotorfit.estimation.likelihood.blocks import Record, measured_by, record
+from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.law_search import law_starts, swapped
 from rotorfit.estimation.likelihood.likelihood import segments
-from rotorfit.estimation.likelihood.optima import moved_to
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior
 
@@ -45,7 +44,6 @@ def estimate_laws(
     estimates: Mapping[str, Estimate],
     structures: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
-    near: Mapping[str, Point] | None = None,
 ) -> dict[str, Estimate]:
     """Estimates of the axes of one group under other structures.
 
@@ -54,9 +52,8 @@ def estimate_laws(
         estimates: Estimates under the first-order law with a delay, by axis.
         structures: Requested structure of each axis; an axis that is not excited keeps the first-order law.
         prior_of: Gives the prior of the laws.
-        near: Maxima of these axes under their structures on a part of the data, which take the place of a search.
     """
-    group, near = tuple(estimates), near or {}
+    group = tuple(estimates)
     wanted = {
         axis: applicable_structure(structures[axis], group) if estimates[axis].excited else FIRST_ORDER_DELAY
         for axis in group
@@ -65,8 +62,8 @@ def estimate_laws(
         return dict(estimates)
     crossed = any(structure.kicks >= 2 for structure in wanted.values())
     if len(group) == 2 and (crossed or estimates[group[0]].optimum.point.gain.size == 2):
-        return _together(serving, group, estimates, wanted, prior_of, near.get(group[0]))
-    out = {axis: under_law(estimates[axis], axis, wanted[axis], prior_of, near.get(axis)) for axis in group}
+        return _together(serving, group, estimates, wanted, prior_of)
+    out = {axis: under_law(estimates[axis], axis, wanted[axis], prior_of) for axis in group}
     if len(group) == 2:
         joint = _records(serving, group)
         plain = [replace(out[axis], records=_records(serving, (axis,))) for axis in group]
@@ -104,20 +101,11 @@ def _records(serving: Sequence[Flight], axes: Sequence[str]) -> list[Record]:
     return [rec for flight in serving if (rec := record(flight, axes))]
 
 
-def under_law(
-    estimate: Estimate,
-    axis: str,
-    structure: Structure,
-    prior_of: PriorOf = nothing_believed,
-    near: Point | None = None,
-) -> Estimate:
-    """Estimate of one axis by itself under a structure, climbed from a maximum on a part of the data if it is known."""
+def under_law(estimate: Estimate, axis: str, structure: Structure, prior_of: PriorOf = nothing_believed) -> Estimate:
+    """Estimate of one axis by itself under a structure."""
     if structure == FIRST_ORDER_DELAY:
         return estimate
     prior = prior_of((axis,), (structure,))
-    if near and _goes_on(near, estimate.records, (structure,)):
-        start = moved_to(estimate.records, near)
-        return replace(estimate, optimum=finished(estimate.records, start, [True], prior))
     found = [
         _begun(estimate.records, point, [True], prior)
         for point in _starts(estimate.records, estimate.optimum.point, 0, structure, prior)
@@ -125,11 +113,6 @@ def under_law(
     highest = max(value for value, _ in found)
     tops = [finished(estimate.records, point, [True], prior) for value, point in found if value > highest - NEAR]
     return replace(estimate, optimum=max(tops, key=posterior))
-
-
-def _goes_on(near: Point, records: Sequence[Record], structures: Sequence[Structure]) -> bool:
-    """Whether a maximum on a part of the data is one of these laws, by the same kind of measurement."""
-    return tuple(near.structures) == tuple(structures) and near.measured == measured_by(records)
 
 
 def posterior(top: Optimum) -> float:
@@ -171,7 +154,6 @@ def _together(
     estimates: Mapping[str, Estimate],
     wanted: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
-    near: Point | None = None,
 ) -> dict[str, Estimate]:
     """Estimates of x and y by their joint likelihood: each axis in turn takes its best start, then both climb."""
     first = estimates[group[0]]
@@ -181,11 +163,9 @@ def _together(
     else:
         records = _records(serving, group)
         point = _side_by_side(records, [estimates[axis] for axis in group])
-    point, known = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2))), False
-    if near and _goes_on(near, records, [wanted[axis] for axis in group]):
-        point, known = moved_to(records, near), True
+    point = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2)))
     for k, axis in enumerate(group):
-        if wanted[axis] != FIRST_ORDER_DELAY and not known:
+        if wanted[axis] != FIRST_ORDER_DELAY:
             laws = (*point.structures[:k], wanted[axis], *point.structures[k + 1 :])
             prior = prior_of(group, laws)
             found = [_begun(records, start, moving, prior) for start in _starts(records, point, k, wanted[axis], prior)]
