@@ -44,6 +44,9 @@ NO_ZERO = 0.005
 ROUNDING = 1e-9
 """Lower limit of a conditional variance relative to the marginal one: below it is rounding."""
 
+LIKELIER = 0.05
+"""Smallest rise of the log-likelihood for which a climb from other levels counts: below it is the climbs' tolerance."""
+
 LEAST_WEIGHT = 0.1
 """Weight below which a law is left out: strong evidence against it (Kass and Raftery, odds of 10)."""
 
@@ -212,15 +215,14 @@ def _log_prior(extra: Extra, value: float) -> float:
 
 
 def no_worse(plain: Estimate, others: Sequence[Estimate]) -> Estimate:
-    """The first-order law climbed again from the levels of a likelier law, where that is higher."""
+    """The first-order law climbed again from the levels of a likelier law, where that is higher by `LIKELIER`."""
     best = max((plain, *others), key=lambda one: one.optimum.score.log_likelihood)
     if best is plain or plain.optimum.point.gain.size > 1:
         return plain
     start = replace(plain.optimum.point, levels=best.optimum.point.levels)
     again = maximise_restricted(plain.records, start, [True], plain.optimum.prior)
-    if again.score.log_likelihood <= plain.optimum.score.log_likelihood or _inverted(again):
-        return plain
-    return replace(plain, optimum=again)
+    likelier = again.score.log_likelihood > plain.optimum.score.log_likelihood + LIKELIER
+    return replace(plain, optimum=again) if likelier and not _inverted(again) else plain
 
 
 def _inverted(optimum: Optimum) -> bool:
