@@ -1,6 +1,6 @@
 """Maximum-likelihood estimate of one axis, or of x and y of a vehicle that turns: search, test of excitation, climb."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -100,7 +100,11 @@ def _idle(records: Sequence[Record], point: Point) -> Optimum:
 
 
 def maximise_restricted(
-    records: Sequence[Record], start: Point, moving: Sequence[bool], prior: GaussianPrior | None = None
+    records: Sequence[Record],
+    start: Point,
+    moving: Sequence[bool],
+    prior: GaussianPrior | None = None,
+    hopeless: Callable[[Optimum], bool] = lambda _first: False,
 ) -> Optimum:
     """The maximum of the restricted likelihood, with the maximum of a first climb as its reference.
 
@@ -109,8 +113,11 @@ def maximise_restricted(
         start: Where to start.
         moving: Whether the coefficients of each axis are estimated.
         prior: Added to the objective.
+        hopeless: Whether the maximum of the first climb will do, since its law will be left out.
     """
     first = climb(records, start, free_of(records, moving, start.structures), prior=prior)
+    if hopeless(first):
+        return first
     return maximise(records, first.point, first.free, first.inverse, tolerance=FINAL, prior=prior)
 
 

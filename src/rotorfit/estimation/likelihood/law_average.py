@@ -8,7 +8,7 @@ intervals of an axis contain those of all of them.
 Source: J. A. Hoeting et al., Statistical Science 14 (1999), pp. 382-417 (averaging over models).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached
 from rotorfit.estimation.likelihood.law_selection import effective_samples
 from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
 from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
-from rotorfit.estimation.likelihood.richer_laws import PriorOf, estimate_laws, under_law
+from rotorfit.estimation.likelihood.richer_laws import Hopeless, PriorOf, estimate_laws, never, under_law
 
 LAGGED, LED = STRUCTURES["first_order_delay_lag"], STRUCTURES["second_order_zero"]
 """The laws of the family besides the first-order law with a delay."""
@@ -49,6 +49,10 @@ LIKELIER = 0.05
 
 LEAST_WEIGHT = 0.1
 """Weight below which a law is left out: strong evidence against it (Kass and Raftery, odds of 10)."""
+
+PROMISED, SPARE = 3.0, 1.0
+"""How many times the expected gain of one step, and how much in addition, the rest of a climb may add to the evidence:
+more than any did to a law that had fallen behind."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +86,35 @@ def families(
 ) -> dict[str, Family]:
     """The default laws of the axes of one group; arguments as for `default_laws`."""
     return {
-        axis: _weighed(plain, _needed(serving, plain, richer))
-        for axis, (plain, *richer) in default_laws(serving, estimates, priors).items()
+        axis: _family(serving, plain, richer)
+        for axis, (plain, *richer) in default_laws(serving, estimates, priors, _cannot_hold).items()
     }
 
 
+def _family(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimate]) -> Family:
+    """The laws of one axis, weighed; where the others cannot hold, what they predict is of no account."""
+    if all(_cannot_hold(plain, one) for one in richer):
+        plain = no_worse(plain, richer)
+        return Family(plain, (Law(plain, 1.0),))
+    return _weighed(plain, _needed(serving, plain, richer))
+
+
+def _cannot_hold(plain: Estimate, richer: Estimate) -> bool:
+    """Whether the weight of a law will be below `LEAST_WEIGHT`, however the rest of its climb ends.
+
+    The average of its likelihood changes little where lag and zero only trade against each other, which is where climbs
+    are long.
+    """
+    share = effective_samples(max((plain, richer), key=lambda one: one.optimum.score.log_likelihood))[1]
+    most = _evidence(richer, share) + PROMISED * richer.optimum.promise + SPARE
+    return most < _evidence(plain, share) + float(np.log(LEAST_WEIGHT))
+
+
 def default_laws(
-    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
+    serving: Sequence[Flight],
+    estimates: Mapping[str, Estimate],
+    priors: Mapping[str, Mapping[str, Prior]],
+    hopeless: Callable[[Estimate, Estimate], bool] = lambda _plain, _richer: False,
 ) -> dict[str, tuple[Estimate, ...]]:
     """The maximum of every default law that an axis may have, the first-order law with a delay first.
 
@@ -96,6 +122,8 @@ def default_laws(
         serving: The flights of the group.
         estimates: Estimates under the first-order law with a delay, by axis.
         priors: Priors of the card by axis and coefficient; empty to use none.
+        hopeless: Whether the climb of a law, compared with the first-order law, is given up; the law stays where its
+            climb stood. A law from which another starts is always climbed, and so is one beside a law that may hold.
     """
 
     def prior_of(axes: Sequence[str], structures: Sequence[Structure]) -> GaussianPrior | None:
@@ -103,12 +131,18 @@ def default_laws(
 
     group = tuple(estimates)
     estimates = _relevelled(estimates)
-    lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of)
+
+    def given_up(axes: Sequence[str], begun: Optimum) -> bool:
+        known = [(k, estimates[axis]) for k, axis in enumerate(axes) if estimates[axis].excited]
+        return all(hopeless(plain, replace(plain, optimum=begun, place=k)) for k, plain in known)
+
+    lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of, given_up)
     out: dict[str, tuple[Estimate, ...]] = {}
     for axis, plain in estimates.items():
         out[axis] = (plain, lagged[axis]) if plain.excited else (plain,)
         if plain.excited and axis in WITH_LOOP:
-            out[axis] += (_led(axis, lagged[axis], plain, prior_of),)
+            alone = hopeless(plain, lagged[axis])  # a law that holds is weighed by the innovations of the likeliest one
+            out[axis] += (_led(axis, lagged[axis], plain, prior_of, given_up if alone else never),)
     return out
 
 
@@ -136,11 +170,11 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
     return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
 
 
-def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Estimate:
+def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf, given_up: Hopeless) -> Estimate:
     """The law with a zero, climbed from the levels of the likelier of the other two."""
     better = max((lagged, plain), key=lambda one: one.optimum.score.log_likelihood)
     levels = replace(plain.optimum, point=replace(plain.optimum.point, levels=better.optimum.point.levels))
-    return under_law(replace(plain, optimum=levels), axis, LED, prior_of)
+    return under_law(replace(plain, optimum=levels), axis, LED, prior_of, given_up)
 
 
 def _needed(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimate]) -> list[Estimate]:

@@ -7,6 +7,7 @@ from the best points of a grid.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -35,8 +36,17 @@ PriorOf = Callable[[Sequence[str], Sequence[Structure]], GaussianPrior | None]
 """From axes and their laws to the prior of their parameters."""
 
 
+Hopeless = Callable[[Sequence[str], Optimum], bool]
+"""From axes and where a climb under their laws stands to whether it may be given up."""
+
+
 def nothing_believed(_axes: Sequence[str], _structures: Sequence[Structure]) -> None:
     """No prior."""
+
+
+def never(_axes: Sequence[str], _begun: Optimum) -> bool:
+    """Every climb goes on to its maximum."""
+    return False
 
 
 def estimate_laws(
@@ -44,6 +54,7 @@ def estimate_laws(
     estimates: Mapping[str, Estimate],
     structures: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
+    hopeless: Hopeless = never,
 ) -> dict[str, Estimate]:
     """Estimates of the axes of one group under other structures.
 
@@ -52,6 +63,7 @@ def estimate_laws(
         estimates: Estimates under the first-order law with a delay, by axis.
         structures: Requested structure of each axis; an axis that is not excited keeps the first-order law.
         prior_of: Gives the prior of the laws.
+        hopeless: Which climbs of the joint likelihood of x and y are given up; their laws stay where the climb stood.
     """
     group = tuple(estimates)
     wanted = {
@@ -62,7 +74,7 @@ def estimate_laws(
         return dict(estimates)
     crossed = any(structure.kicks >= 2 for structure in wanted.values())
     if len(group) == 2 and (crossed or estimates[group[0]].optimum.point.gain.size == 2):
-        return _together(serving, group, estimates, wanted, prior_of)
+        return _together(serving, group, estimates, wanted, prior_of, hopeless)
     out = {axis: under_law(estimates[axis], axis, wanted[axis], prior_of) for axis in group}
     if len(group) == 2:
         joint = _records(serving, group)
@@ -101,17 +113,25 @@ def _records(serving: Sequence[Flight], axes: Sequence[str]) -> list[Record]:
     return [rec for flight in serving if (rec := record(flight, axes))]
 
 
-def under_law(estimate: Estimate, axis: str, structure: Structure, prior_of: PriorOf = nothing_believed) -> Estimate:
-    """Estimate of one axis by itself under a structure."""
+def under_law(
+    estimate: Estimate,
+    axis: str,
+    structure: Structure,
+    prior_of: PriorOf = nothing_believed,
+    hopeless: Hopeless = never,
+) -> Estimate:
+    """Estimate of one axis by itself under a structure; arguments as for `estimate_laws`."""
     if structure == FIRST_ORDER_DELAY:
         return estimate
-    prior = prior_of((axis,), (structure,))
+    records, prior = estimate.records, prior_of((axis,), (structure,))
     found = [
-        _begun(estimate.records, point, [True], prior)
-        for point in _starts(estimate.records, estimate.optimum.point, 0, structure, prior)
+        _begun(records, point, [True], prior) for point in _starts(records, estimate.optimum.point, 0, structure, prior)
     ]
-    highest = max(value for value, _ in found)
-    tops = [finished(estimate.records, point, [True], prior) for value, point in found if value > highest - NEAR]
+    highest = max(one.score.objective for one in found)
+    found = [one for one in found if one.score.objective > highest - NEAR]
+    if all(hopeless((axis,), one) for one in found):
+        return replace(estimate, optimum=found[0])
+    tops = [finished(records, one.point, [True], prior, hopeless) for one in found]
     return replace(estimate, optimum=max(tops, key=posterior))
 
 
@@ -120,12 +140,19 @@ def posterior(top: Optimum) -> float:
     return top.score.log_likelihood + (top.prior.exponent(top.point) if top.prior else 0.0)
 
 
-def finished(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
+def finished(
+    records: Sequence[Record],
+    point: Point,
+    moving: Sequence[bool],
+    prior: GaussianPrior | None,
+    hopeless: Hopeless = never,
+) -> Optimum:
     """The maximum; where lag and damping ended swapped, the equivalent maximum with the two exchanged."""
-    optimum = maximise_restricted(records, point, moving, prior)
+    given_up = partial(hopeless, records[0].axes)
+    optimum = maximise_restricted(records, point, moving, prior, given_up)
     for k in range(point.gain.size):
         if other := swapped(optimum.point, k):
-            optimum = maximise_restricted(records, other, moving, prior)
+            optimum = maximise_restricted(records, other, moving, prior, given_up)
     return optimum
 
 
@@ -138,14 +165,11 @@ def _starts(
     return starts(records, point, k, structure)
 
 
-def _begun(
-    records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None
-) -> tuple[float, Point]:
-    """Objective and end point of a short climb with the levels of the start held."""
+def _begun(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
+    """The end of a short climb with the levels of the start held."""
     free = free_of(records, moving, point.structures)
     free[point.n :] = False
-    optimum = maximise(records, point, free, tolerance=0.3, most=25, prior=prior)
-    return optimum.score.objective, optimum.point
+    return maximise(records, point, free, tolerance=0.3, most=25, prior=prior)
 
 
 def _together(
@@ -154,6 +178,7 @@ def _together(
     estimates: Mapping[str, Estimate],
     wanted: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
+    hopeless: Hopeless = never,
 ) -> dict[str, Estimate]:
     """Estimates of x and y by their joint likelihood: each axis in turn takes its best start, then both climb."""
     first = estimates[group[0]]
@@ -163,15 +188,17 @@ def _together(
     else:
         records = _records(serving, group)
         point = _side_by_side(records, [estimates[axis] for axis in group])
-    point = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2)))
+    point, best = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2))), None
     for k, axis in enumerate(group):
         if wanted[axis] != FIRST_ORDER_DELAY:
             laws = (*point.structures[:k], wanted[axis], *point.structures[k + 1 :])
             prior = prior_of(group, laws)
             found = [_begun(records, start, moving, prior) for start in _starts(records, point, k, wanted[axis], prior)]
-            point = max(found, key=lambda one: one[0])[1]
-    optimum = finished(records, point, moving, prior_of(group, point.structures))
-    return {axis: replace(estimates[axis], records=records, optimum=optimum, place=k) for k, axis in enumerate(group)}
+            best = max(found, key=lambda one: one.score.objective)
+            point = best.point
+    if not (best and hopeless(group, best)):
+        best = finished(records, point, moving, prior_of(group, point.structures), hopeless)
+    return {axis: replace(estimates[axis], records=records, optimum=best, place=k) for k, axis in enumerate(group)}
 
 
 def _side_by_side(records: Sequence[Record], estimates: Sequence[Estimate]) -> Point:
