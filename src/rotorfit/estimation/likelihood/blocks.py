@@ -177,12 +177,13 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         pose_range.append((n, n + last - first))
         command_range.append(np.searchsorted(command_time, [segment.start, segment.end]))
         times.append(bins + block_count)
-        index.append(np.arange(first, last))
+        index.append(slice(first, last))
         n += last - first
         block_count += bins[-1] + 1
     if not starts:
         return None
-    keep, block = (part[0] if len(part) == 1 else np.concatenate(part) for part in (index, times))
+    alone = len(index) == 1  # a slice of the flight takes no memory
+    keep, block = (index[0], times[0]) if alone else (np.r_[tuple(index)], np.concatenate(times))
     count = np.bincount(block).astype(float)
     fresh = np.zeros(block_count, bool)
     fresh[block[[i for i, _ in pose_range]]] = True
