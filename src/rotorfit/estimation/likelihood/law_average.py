@@ -10,6 +10,7 @@ Source: J. A. Hoeting et al., Statistical Science 14 (1999), pp. 382-417 (averag
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -43,6 +44,9 @@ NO_ZERO = 0.005
 
 ROUNDING = 1e-9
 """Lower limit of a conditional variance relative to the marginal one: below it is rounding."""
+
+OTHER_MAXIMUM = 1.0
+"""Smallest rise of the log-likelihood for which a maximum at other levels takes the place of the first."""
 
 LIKELIER = 0.05
 """Smallest rise of the log-likelihood for which a climb from other levels counts: below it is the climbs' tolerance."""
@@ -164,10 +168,16 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
         moving = [bool(optimum.free[k]) for k in range(K)]
         if id(optimum) not in found:
             start = approached(estimate.records, start, optimum.free, optimum.prior)
-            again = maximise_restricted(estimate.records, start, moving, optimum.prior)
-            better = again.score.log_likelihood > optimum.score.log_likelihood + 1.0 and not _inverted(again)
+            least = optimum.score.log_likelihood + OTHER_MAXIMUM
+            again = maximise_restricted(estimate.records, start, moving, optimum.prior, partial(_stays_below, least))
+            better = again.score.log_likelihood > least and not _inverted(again)
             found[id(optimum)] = again if better else optimum
     return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
+
+
+def _stays_below(least: float, first: Optimum) -> bool:
+    """Whether the second climb to a maximum cannot raise the log-likelihood of the first to `least`."""
+    return first.score.log_likelihood + PROMISED * first.promise + 0.5 * OTHER_MAXIMUM < least
 
 
 def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf, given_up: Hopeless) -> Estimate:
