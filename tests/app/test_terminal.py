@@ -138,7 +138,7 @@ def test_an_axis_that_changed_is_watched_anew_and_the_end_says_both_times(capsys
 
     told = [[str(line) for line in news(*pair)] for pair in pairwise(states)]
     begins = "  z    watched for changes from here on"
-    assert told == [[f"   10.0 s{begins}"], [], [], [f"   32.0 s{begins}"], []]
+    assert told == [[f"    9.5 s{begins}"], [], [], [f"   31.5 s{begins}"], []]
     assert line_of(states[0]) == "9 s: z known; not yet watched for changes: z  (Ctrl-C ends)"
     assert line_of(states[1]) == "10 s: z known  (Ctrl-C ends)"
     assert Tracked(9.0, {"yaw": TrackedAxis("not_excited", UNMOVED)}).unwatched == ()

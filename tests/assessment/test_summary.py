@@ -73,6 +73,14 @@ def test_a_combination_that_is_known_stands_in_for_its_parts() -> None:
     assert "total lag" not in found
 
 
+def test_a_time_whose_interval_begins_near_zero_is_told_and_a_gain_of_such_a_ratio_is_not() -> None:
+    parts = {"steady_gain": Combination(1.0, (0.01, 5.0)), "total_lag": Combination(0.15, (0.01, 0.3))}
+
+    found = summary_of_model(model({"z": axis(parts, damping="not_identifiable")}), axes=("z",))
+
+    assert "but total lag 0.15 (0.01 to 0.3) is." in found
+
+
 @pytest.mark.parametrize(
     ("status", "words"), [("too_short", "the flights are too short for x"), ("diverged", "x did not converge")]
 )

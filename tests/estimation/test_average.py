@@ -1,7 +1,9 @@
 """The default laws: the law that the vehicle has, intervals that hold it, and a lag that a gusty flight cannot lose."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +19,10 @@ from rotorfit.dynamics.transfer_function import law_response, sine_response
 from rotorfit.estimation import fitting
 from rotorfit.estimation.fitting import estimate_group, fit
 from rotorfit.estimation.likelihood import law_average, richer_laws
+from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
-from rotorfit.estimation.likelihood.optima import STARTS, between
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum
+from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.richer_laws import under_law
 from rotorfit.files.log_span import parse_log
 from rotorfit.files.models import from_mapping, to_mapping
@@ -82,6 +86,24 @@ def test_every_law_that_an_axis_may_have_is_climbed_also_one_that_is_then_left_o
 
     assert [structure_at(one.optimum, one.place).name for one in climbed] == [PLAIN, LAGGED, LOOP]
     assert LOOP not in [structure_at(law.estimate.optimum, law.estimate.place).name for law in kept]
+
+
+def test_a_climb_is_given_up_only_where_its_law_would_be_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight, climbed = flown(Truth(), steps(("z",), seed=2), 40.0, 2), list[str]()
+    finished = richer_laws.finished
+
+    def noted(records: Sequence[Record], point: Point, *others: Any) -> Optimum:
+        climbed.append(point.structures[0].name)
+        return finished(records, point, *others)
+
+    monkeypatch.setattr(richer_laws, "finished", noted)
+
+    quick = fit([flight], axes=("z",)).model
+    assert climbed == [LAGGED]
+    monkeypatch.setattr(law_average, "_cannot_hold", lambda *_: False)
+    thorough = fit([flight], axes=("z",)).model
+    assert climbed == [LAGGED, LAGGED, LOOP]
+    assert to_mapping(quick) == to_mapping(thorough)
 
 
 def test_a_loop_that_overshoots_is_taken_for_what_it_is_where_a_delay_alone_reads_the_peak_as_gain(
@@ -211,20 +233,3 @@ def test_no_law_brings_back_an_optimum_that_the_search_has_left_out(
     assert known is None or known.delay > 0.1  # of the likelier optimum it is 0.02 s
     known = late.model.axes["yaw"].predictor
     assert known is None or known.input > 0
-
-
-@pytest.mark.parametrize("name", [PLAIN, LAGGED, LOOP])
-def test_a_fit_from_the_optima_of_half_its_flight_is_the_same_without_a_search(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    flight = flown_by(name, duration=40.0, seed=4, wind=0.05, noise=0.001)
-    half, whole = (fit([part], axes=("z",)) for part in (between(flight, 0.0, 20.0), flight))
-    monkeypatch.setattr(richer_laws, "law_starts", lambda *_: pytest.fail("searched"))
-
-    again = fit([flight], axes=("z",), near=half.estimates)
-
-    assert sum(one.starts for one in again.estimates["z"].found) < len(STARTS)
-    one, other = again.model.axes["z"], whole.model.axes["z"]
-    assert one.structure == other.structure
-    for key in ("input", "damping", "delay"):
-        assert getattr(one, key) == pytest.approx(getattr(other, key), abs=0.05 * (other.stderr[key] or np.nan))

@@ -247,7 +247,7 @@ def test_after_a_model_the_next_flight_is_shown_before_and_after(tmp_path: Path)
     save(model_of(card=CARD), tmp_path / "model.json")
     text = planned("--after", tmp_path / "model.json", "--duration", 12, "--design", "two_sines", "--axes", "yaw")
     assert "Next flight" in text
-    assert "yaw: the axes asked for" in text
+    assert "yaw: the axis asked for" in text
     assert "before" in text
     assert "quiet motion-capture room" not in text  # the model has noise and wind of its own
     result = json.loads(

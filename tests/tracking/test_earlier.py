@@ -190,7 +190,7 @@ def test_an_earlier_model_says_beforehand_of_which_axes_it_tells_nothing_or_too_
     poor = replace(model, axes={**model.axes, "x": unknown_axis("not_excited"), "z": bare})
 
     nothing, few = limits_of_earlier(Earlier(poor, NAME), model.card)
-    assert nothing == "model.json knows nothing of x: told and compared there is this flight alone"
+    assert nothing == "model.json knows nothing of x: all numbers there are from this flight"
     assert few.startswith("model.json tells too little of z to be compared with this flight: ")
 
 

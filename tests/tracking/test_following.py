@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from flights import flown, steps
+from other_laws import flown_by
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.model import COEFFICIENTS, Interval, Predictor, Weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
@@ -20,6 +21,7 @@ from rotorfit.tracking.refits import (
     REFIT_UNKNOWN,
     GroupEstimate,
     axis_report,
+    group_estimate,
     growth,
     read_backwards,
     refitted,
@@ -243,3 +245,27 @@ def under_laws(fitted: GroupEstimate, *weights: float) -> GroupEstimate:
     laws = tuple(Weighed(LAW, weight, 0.0, predictor, {}, ()) for weight in weights)
     axes = {**model.axes, "z": replace(model.axes["z"], laws=laws)}
     return replace(fitted, fit=replace(fitted.fit, model=replace(model, axes=axes)))
+
+
+def test_at_a_refit_a_lag_that_the_fit_does_not_know_is_not_told() -> None:
+    """Its interval is closed, but too wide."""
+    flight = until(flown_by("second_order_zero", wind=0.5, noise=0.005), 20.0)
+    found = fit([flight], axes=("z",), structure="second_order_zero")
+    axis = found.model.axes["z"]
+    told = axis_report(group_estimate(found, ("z",), 20.0), "z").values
+
+    assert axis.extra["lag"] is None
+    assert None not in axis.ci95["lag"]
+    assert told["lag"] is None
+    assert told["zero"] == axis.extra["zero"]
+
+
+def test_what_the_last_refit_refuted_is_not_told() -> None:
+    flight = flown_by("second_order_zero", wind=0.05, noise=0.001)
+    found = fit([flight], axes=("z",), structure="second_order_zero")
+    axis = found.model.axes["z"]
+    denied = replace(axis, status={**axis.status, "zero": "refuted"}, extra={**axis.extra, "zero": None})
+    judged = replace(found, model=replace(found.model, axes={**found.model.axes, "z": denied}))
+
+    assert axis_report(group_estimate(found, ("z",), 30.0), "z").values["zero"] is not None
+    assert axis_report(group_estimate(judged, ("z",), 30.0), "z").values["zero"] is None

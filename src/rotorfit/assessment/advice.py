@@ -416,12 +416,15 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     if fit.model.method == "paper" or damping is None or gain is None or damping >= 0 or not axis.predictor:
         return
     lost = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
-    late = "" if lost else f" of {axis.predictor.delay + axis.predictor.extra.get('lag', 0.0):.2f} s"
+    lag = axis.predictor.extra.get("lag")
+    late = axis.predictor.delay + (lag or 0.0)
+    left = "the delay" if lag is None else "delay and lag"
+    told = "" if lost else f" of {late:.2f} s" if lag is None else f", together {late:.2f} s"
     yield Finding(
         "paper_damping_negative",
         "info",
         f"the paper's regression gives {name} a damping of {damping:.2g} 1/s on the same data",
-        f"it leaves out the delay{late}, which biases the damping; the likelihood includes it",
+        f"it leaves out {left}{told}, which biases the damping; the likelihood does not",
         "use the model as it is; the paper's coefficients are there for comparison",
         name,
     )

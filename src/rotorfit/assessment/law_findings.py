@@ -33,11 +33,12 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
     told = "; ".join(f"{one.strength} (p = {one.p_value:.1g})" for one in axis.evidence)
     refuted = [part for part, status in axis.status.items() if status == "refuted"]
     if refuted:
+        stated = "its interval says" if len(refuted) == 1 else "their intervals say"
         yield Finding(
             "law_refuted",
             "warning",
             f"{name} does not obey {axis.structure}: {told}",
-            f"{', '.join(refuted)} of {name} would differ on another flight by more than their intervals",
+            f"{', '.join(refuted)} of {name} would differ on another flight by more than {stated}",
             "fit with --structure auto, or fly commands of the size and speed that the model is wanted for; "
             "predictions of like motion may still be good: see validate",
             name,

@@ -10,6 +10,9 @@ from rotorfit.estimation.methods import label_of
 
 _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
 
+_TIMES = ("total_lag", "delay_plus_lag")
+"""Combinations that may be near zero: the ratio of the ends of their intervals says nothing."""
+
 _REASONS = {
     "not_excited": "no flight excites {}",
     "too_short": "the flights are too short for {}, or command it only once",
@@ -60,15 +63,17 @@ def _partly_known(axis: str, known: Axis) -> str:
         head += "; "
     elif not lost:
         return f"{head}its law has no {_listed([_NAMES[name] for name in given])}."
-    combined = [f"{name.replace('_', ' ')} {_range(part)}" for name, part in known.combinations.items() if _told(part)]
+    combined = [
+        f"{name.replace('_', ' ')} {_range(part)}" for name, part in known.combinations.items() if _told(name, part)
+    ]
     instead = f", but {_listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
     return f"{head}{_listed(lost)} cannot be identified from these data{instead}."
 
 
-def _told(part: Combination) -> bool:
-    """Whether the interval is closed, and its ends are no further apart than those of a gain may be."""
+def _told(name: str, part: Combination) -> bool:
+    """Whether the interval is closed and, unless it is a time, no wider than that of a gain may be."""
     low, high = part.ci95
-    return low is not None and high is not None and not 0 < WIDEST_INPUT * low < high
+    return low is not None and high is not None and (name in _TIMES or not 0 < WIDEST_INPUT * low < high)
 
 
 def _range(part: Combination) -> str:

@@ -221,7 +221,9 @@ def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterat
             f"Ljung-Box {tests.ljung_box:.0f}, expected {tests.lags})",
             f"intervals of {axis} are optimistic by about the factor {factor:.2f}"
             if narrow
-            else f"little: intervals of {axis} would change by about the factor {factor:.2f}",
+            else f"little: intervals of {axis} would change by about the factor {factor:.2f}"
+            if factor * OPTIMISTIC > 1
+            else f"none that harms: intervals of {axis} could be narrower, by about the factor {factor:.2f}",
             f"multiply the half widths of {axis} by {factor:.2f}, or judge by flight-to-flight scatter "
             "(fit --leave-one-out)"
             if narrow

@@ -38,9 +38,10 @@ class IrregularFourier:
         self._size = int(next_fast_len(2 * count + WIDTH))
         place = points * (self._size / (2 * np.pi))
         first = np.ceil(place - WIDTH / 2)
-        nodes = [first + w for w in range(WIDTH)]  # one after the other: all points at once take much memory
-        self._at = np.array([np.mod(node, self._size).astype(np.int64) for node in nodes])
-        self._weight = np.array([_kernel((node - place) / (WIDTH / 2)) for node in nodes])
+        self._at, self._weight = np.empty((WIDTH, points.size), np.int32), np.empty((WIDTH, points.size))
+        for w in range(WIDTH):  # one after the other: all points at once take much memory
+            self._at[w] = np.mod(first + w, self._size)
+            self._weight[w] = _kernel((first + w - place) / (WIDTH / 2))
         self._bin = np.mod(np.arange(count) - count // 2, self._size)
         self._transform = _transform(count, self._size)
         self._turn = np.exp(-1j * (count // 2) * points)  # the middle sum is number zero of the grid

@@ -320,7 +320,7 @@ def seen_in(flight: Flight, low: float, high: float) -> MeasuredSegment:
     inside = (flight.pose_time >= low) & (flight.pose_time <= high)
     t, pose = flight.pose_time[inside], np.column_stack([flight.position, flight.yaw])[inside]
     if flight.velocity is None or not flight.velocity_only or not t.size:
-        return MeasuredSegment(t, pose, _smooth(t, pose, t).velocity)
+        return MeasuredSegment(t, pose, _smooth(t, pose, t).velocity.copy())  # the other derivatives can go
     own = flight.velocity.between(float(t[0]), high)
     time = np.union1d(t, own.time)
     velocity = np.full((time.size, len(AXES)), np.nan)

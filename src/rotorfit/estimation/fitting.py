@@ -61,7 +61,6 @@ def fit(
     progress: Progress | None = None,
     structure: str = AVERAGED,
     prior: bool = False,
-    near: Mapping[str, Estimate] | None = None,
 ) -> Fit:
     """Estimates the coefficients of the axes from one or several flights.
 
@@ -77,7 +76,6 @@ def fit(
             applies to x and y together and leaves every other axis at the first-order law with a delay. Methods other
             than `ml` accept `averaged` and that law only.
         prior: Whether to use the priors of the card; with the default structure or the first-order law only.
-        near: Estimates of a fit of a part of these data, by axis: their optima take the place of a search.
 
     Returns:
         The fit. A coefficient that is not identifiable has a status and no number.
@@ -101,12 +99,12 @@ def fit(
         flights, outliers = without_outliers(flights, lambda some: _estimates(some, wanted))
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
-    found = _found(flights, wanted, method, structure, priors, paper, report, near, _motion_of(flights, paper))
+    found = _found(flights, wanted, method, structure, priors, paper, report, _motion_of(flights, paper))
     tested = {axis: test for axis, e in found.estimates.items() if (test := braking(e)) and test.acts}
     parts = {axis: [commanded_parts(f, (axis,), test.late) for f in flights] for axis, test in tested.items()}
     for axis, some in parts.items():
         report(0.9, f"{axis} while it is commanded")
-        apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None, near)
+        apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None)
         found, parts[axis] = (
             (_with_axis(found, apart, axis), some) if _gain_known(apart, axis) else (found, list(flights))
         )
@@ -211,7 +209,6 @@ def _found(
     priors: Priors,
     paper: PaperFit,
     report: Progress,
-    near: Mapping[str, Estimate] | None,
     motion_of: MotionOf = motion_from_flight,
 ) -> _Found:
     """Fits the requested axes, group by group."""
@@ -219,7 +216,7 @@ def _found(
 
     def found_of(group: Sequence[str]) -> _Found:
         if METHODS[method].likelihood:
-            return _likelihood_group(flights, group, priors, structure, near, motion_of)
+            return _likelihood_group(flights, group, priors, structure, motion_of)
         if METHODS[method].estimator:
             return _regression_group(flights, group, method)
         return _paper_group(flights, group, paper)
@@ -319,17 +316,12 @@ def _motion_of(flights: Sequence[Flight], paper: PaperFit) -> MotionOf:
 
 
 def _likelihood_group(
-    flights: Sequence[Flight],
-    group: Sequence[str],
-    priors: Priors,
-    structure: str,
-    near: Mapping[str, Estimate] | None,
-    motion_of: MotionOf,
+    flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str, motion_of: MotionOf
 ) -> _Found:
     """The axes of one group by the likelihood, under the requested structure."""
-    estimates = estimate_group(flights, group, priors, near, motion_of)
+    estimates = estimate_group(flights, group, priors, motion_of)
     if structure == AVERAGED and estimates:
-        return _averaged(flights, group, estimates, priors, near)
+        return _averaged(flights, group, estimates, priors)
     axes, covariance = _group_axes(flights, group, estimates)
     if structure == STRUCTURE or not estimates:
         return _Found(axes, covariance, estimates)
@@ -337,14 +329,10 @@ def _likelihood_group(
 
 
 def _averaged(
-    flights: Sequence[Flight],
-    group: Sequence[str],
-    estimates: Mapping[str, Estimate],
-    priors: Priors,
-    near: Mapping[str, Estimate] | None,
+    flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate], priors: Priors
 ) -> _Found:
     """The axes of a group under the default laws, with the first-order law beside them."""
-    known = families(serving_flights(flights, group), estimates, priors, near)
+    known = families(serving_flights(flights, group), estimates, priors)
     chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
         said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]
@@ -413,14 +401,10 @@ def _other_structures(
 
 
 def estimate_group(
-    flights: Sequence[Flight],
-    group: Sequence[str],
-    priors: Priors,
-    near: Mapping[str, Estimate] | None = None,
-    motion_of: MotionOf = motion_from_flight,
+    flights: Sequence[Flight], group: Sequence[str], priors: Priors, motion_of: MotionOf = motion_from_flight
 ) -> dict[str, Estimate]:
     """Maximum-likelihood estimates of the axes of one group; empty where the flights are too short."""
-    serving, near = serving_flights(flights, group), near or {}
+    serving = serving_flights(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]
     if sum(float(np.ptp(rec.block_time)) for rec in records) < LEAST_TIME:
         return {}
@@ -430,13 +414,13 @@ def estimate_group(
     moving = [any(commands_axis(f, axis) for f in serving) and axis not in held for axis in group]
     if all(rec.held for rec in records):
         estimates = [
-            estimate_axis(serving, a, moves, gaussian_prior(priors, [a]), near.get(a))
+            estimate_axis(serving, a, moves, gaussian_prior(priors, [a]))
             for a, moves in zip(group, moving, strict=True)
         ]
         if len(group) == 2:
             estimates = couple_axes(records, estimates)
     else:
-        estimates = estimate_plane(serving, records, group, moving, gaussian_prior(priors, group), near.get(group[0]))
+        estimates = estimate_plane(serving, records, group, moving, gaussian_prior(priors, group))
     return dict(zip(group, estimates, strict=True))
 
 

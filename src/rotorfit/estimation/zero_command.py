@@ -8,6 +8,7 @@ each command of the previous second with a weight of its own) are projected out 
 mistaken for braking.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -157,7 +158,6 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
         c0, c1 = rec.command_range[number]
         stamps, command = rec.command_time[c0:c1], rec.command[c0:c1]
         time = np.arange(rec.starts[number], rec.pose_time[last - 1] + 2 * STEP, STEP)
-        held = [command[np.maximum(np.searchsorted(stamps, time - age, side="right") - 1, 0), k] for age in LAGS]
         yaw = np.interp(time, rec.pose_time[first:last], rec.yaw[first:last]) if K == 2 else np.zeros(time.size)
         delayed = [np.maximum(np.searchsorted(stamps, time - tau, side="right") - 1, 0) for tau in point.delay]
         pull = np.stack([point.gain[j] * command[delayed[j], j] for j in range(K)], axis=1)
@@ -167,14 +167,16 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
         at = (rec.pose_time[first:last] - time[0]) / STEP
         before = np.minimum(at.astype(np.int64), time.size - 2)
         part = (at - before)[:, None]
-        for column, each in enumerate((*held, -along, braked)):  # one by one: together, half an hour takes 200 MB
+        held = (command[np.maximum(np.searchsorted(stamps, time - age, side="right") - 1, 0), k] for age in LAGS)
+        for column, each in enumerate(itertools.chain(held, (-along, braked))):  # together, half an hour takes 200 MB
             pull = np.zeros((time.size, K))
             pull[:, k] = each
             position = _moved(pull, np.exp(point.log_damping), yaw, np.zeros(K))[0]
             seen = position[before] * (1 - part) + position[before + 1] * part
             for j in range(K):
                 groups[:, column, j] += np.bincount(rec.block[first:last], seen[:, j], rec.weight.size)
-    return rec.observed(groups * rec.weight[:, None, None])
+    groups *= rec.weight[:, None, None]
+    return rec.observed(groups)
 
 
 def _lagged(pull: Array, lags: Array) -> Array:

@@ -157,7 +157,8 @@ def _reason(ratio: Array, group: Sequence[str], named: bool) -> str:
     rows = {axis: ratio[3 * AXES.index(axis) : 3 * AXES.index(axis) + 3] for axis in group}
     axis = max(group, key=lambda each: float(rows[each].max()))
     name, times = COEFFICIENTS[int(np.argmax(rows[axis]))], float(rows[axis].max())
-    chosen = "the axes asked for" if named else "the worst known axes"
+    axes = "axis" if len(group) == 1 else "axes"
+    chosen = f"the {axes} asked for" if named else f"the worst known {axes}"
     return f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the target"
 
 

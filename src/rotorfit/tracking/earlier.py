@@ -106,7 +106,7 @@ def limits_of_earlier(earlier: Earlier, card: Card) -> Iterator[str]:
         yield f"{earlier.name} is of another card, {earlier.model.card.name}, than the flight, {card.name}"
     known = {axis: known_before(earlier, axis).keys() for axis in AXES if axis in card.command}
     if missing := [axis for axis, names in known.items() if not names]:
-        yield f"{earlier.name} knows nothing of {', '.join(missing)}: told and compared there is this flight alone"
+        yield f"{earlier.name} knows nothing of {', '.join(missing)}: all numbers there are from this flight"
     few = [axis for axis, names in known.items() if names and not (names & {*ALIKE} or names >= {*COEFFICIENTS})]
     if few:
         yield (

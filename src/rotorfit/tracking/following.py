@@ -65,11 +65,7 @@ from rotorfit.tracking.refits import (
     together,
 )
 from rotorfit.tracking.regimes import Bounds, learnt_from, regimes_of
-from rotorfit.tracking.scores import (
-    CHUNK,
-    GUST_POWERS,
-    WINDOWS,
-)
+from rotorfit.tracking.scores import CHUNK, GUST_POWERS, WINDOWS, Scores
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
@@ -269,25 +265,16 @@ class Following:
             return None  # no window has a rest that is long enough
         known = renewed_groups(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
-        watched = self._watched_again()
         looked, count = looked_together(list(scored.values()), lengths)
-        for scores in scored.values():
-            axes = {name.partition(".")[0] for name in scores.names}
-            if not raised and not axes <= watched.keys() and compares(scores, lengths):
-                self._watched = {**self._watched, **dict.fromkeys(axes - watched.keys(), now)}
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
-        found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
         if raised:
-            found = [(raised.names, raised.contrast)]
-        if not found or found[0][0] not in scored:
+            found = (raised.names, raised.contrast, raised.contrast.p_value) if raised.names in scored else None
+        else:
+            self._watch(scored, lengths, now)
+            found = _rarest(known, flight, looked, lengths, threshold)
+        if not found:
             return None
-        names, first = min(found, key=lambda each: each[1].p_value)
-        p_value = first.p_value
-        if not raised and pushes(names, first):
-            under = [scores_of_groups(known, flight, gusts) for gusts in range(1 + len(GUST_POWERS))]
-            p_value = max(p_value, in_any_air(names, under, lengths))
-            if p_value > threshold:
-                return None  # perhaps a gust
+        names, first, p_value = found
         best = likeliest(scored[names], first, looked[names])
         if not raised and not calm(scored[names], best.since, p_value):
             return None  # the air, not the vehicle
@@ -315,6 +302,14 @@ class Following:
         self._raised = None if raised else _Raised(alarm, names, first, looked, before)
         self._begin(alarm, when, before)
         return alarm
+
+    def _watch(self, scored: Mapping[tuple[str, ...], Scores], lengths: Sequence[float], now: float) -> None:
+        """Notes the axes about which an alarm can be raised from now on."""
+        watched = self._watched_again()
+        for names, scores in scored.items():
+            axes = {name.partition(".")[0] for name in names}
+            if not axes <= watched.keys() and compares(scores, lengths):
+                self._watched = {**self._watched, **dict.fromkeys(axes - watched.keys(), now)}
 
     def _watched_again(self) -> dict[str, float]:
         """Axis to the time of the first test since its last alarm that could have raised another [s]."""
@@ -459,6 +454,25 @@ class Following:
             ahead=motion.ahead,
             ahead_ci95=_around(motion.ahead, motion.ahead_error),
         )
+
+
+def _rarest(
+    known: Sequence[GroupEstimate],
+    flight: Flight,
+    looked: Mapping[tuple[str, ...], Sequence[Contrast]],
+    lengths: Sequence[float],
+    threshold: float,
+) -> tuple[tuple[str, ...], Contrast, float] | None:
+    """The contrast with the smallest p-value below a threshold: names of its scores, and its p-value in any air."""
+    found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
+    if not found:
+        return None
+    names, first = min(found, key=lambda each: each[1].p_value)
+    p_value = first.p_value
+    if pushes(names, first):
+        under = [scores_of_groups(known, flight, gusts) for gusts in range(1 + len(GUST_POWERS))]
+        p_value = max(p_value, in_any_air(names, under, lengths))
+    return (names, first, p_value) if p_value <= threshold else None
 
 
 def next_look(due: float, now: float, every: float = EVERY) -> float:

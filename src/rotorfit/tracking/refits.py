@@ -14,6 +14,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
+from rotorfit.core.laws import structure_named
 from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis, Interval, Model, unknown_axis
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES
@@ -22,6 +23,7 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate, coupled_recor
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, interval
+from rotorfit.estimation.likelihood.extra_parameters import extra_status
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
@@ -338,8 +340,11 @@ def axis_report(fitted: GroupEstimate, axis: str) -> AxisReport:
     status = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
     if read_backwards(vehicle, status):
         return AxisReport(nothing, {}, {})
+    law, judged = structure_named(fitted.fit.model.axes[axis].structure), fitted.fit.model.axes[axis].status
+    status |= {one.name: extra_status(one, vehicle[one.name]) for one in law.extras if one.name in vehicle}
     for name in QUANTITIES:
-        if status.get(name, "ok") != "ok" or None in vehicle.get(name, (None, None)):
+        refuted = judged.get(name) == "refuted"  # by the last refit: only a refit tests the law
+        if refuted or status.get(name, "ok") != "ok" or None in vehicle.get(name, (None, None)):
             values[name] = None
     return AxisReport(values, vehicle, flight)
 

@@ -33,8 +33,8 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
             told = earlier and other and "(law " not in axis.state  # after a change the state itself names both
             law = f" (law {axis.structure}, before {earlier.structure})" if earlier and told else ""
             yield _line(state.time, name, f"{axis.state}{law}{_numbers(axis)}")
-    if begun := _begun(before, state):
-        yield _line(state.time, ", ".join(begun), "watched for changes from here on")
+    for time, names in _begun(before, state).items():
+        yield _line(time, ", ".join(names), "watched for changes from here on")
     given = before is not None and before.air is not None
     if state.air and not given:
         yield _line(state.time, "air", f"{_wind(state.air)}; x and y are now known well enough for it")
@@ -42,11 +42,14 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
         yield _line(state.time, "air", "x and y are no longer known well enough for the wind")
 
 
-def _begun(before: Tracked | None, state: Tracked) -> list[str]:
-    """The axes about which an alarm can be raised now, and could not a second ago."""
+def _begun(before: Tracked | None, state: Tracked) -> dict[float, list[str]]:
+    """The time [s] from which on an alarm can be raised, and could not a second ago, to the axes that it is about."""
     earlier = before.axes if before else {}
-    watched = [name for name, axis in state.axes.items() if axis.watched is not None]
-    return [name for name in watched if name not in earlier or earlier[name].watched is None]
+    begun: dict[float, list[str]] = {}
+    for name, axis in state.axes.items():
+        if axis.watched is not None and (name not in earlier or earlier[name].watched is None):
+            begun.setdefault(axis.watched, []).append(name)
+    return begun
 
 
 def _line(time: float, name: str, text: str) -> Text:

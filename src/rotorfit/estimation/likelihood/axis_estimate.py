@@ -1,6 +1,6 @@
 """Maximum-likelihood estimate of one axis, or of x and y of a vehicle that turns: search, test of excitation, climb."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,7 +20,6 @@ from rotorfit.estimation.likelihood.optima import (
     are_same,
     excerpt,
     is_inverse_loop,
-    moved_to,
     prediction_error,
     search,
     start_point,
@@ -57,8 +56,6 @@ class Estimate:
         place: Index of the axis in the optimum.
         found: Optima of the search, the selected one first; empty for an axis that no flight commands.
         excited: Whether its commands explain any of the motion.
-        laws: Its maximum under each of the default laws, the first-order law with a delay first; empty where they were
-            not compared.
     """
 
     records: Sequence[Record]
@@ -66,7 +63,6 @@ class Estimate:
     place: int
     found: tuple[CandidateOptimum, ...]
     excited: bool
-    laws: tuple[Point, ...] = ()
 
     @cached_property
     def loop(self) -> LoopEvidence:
@@ -74,23 +70,7 @@ class Estimate:
         return answer(self.records, self.optimum, self.place)
 
 
-def known_optima(near: Estimate | None, records: Sequence[Record]) -> list[Point]:
-    """The optima under the first-order law of an earlier estimate of the same axes, for `search`; empty without one."""
-    if near is None or not near.excited or not near.found:
-        return []
-    first = near.laws[0] if near.laws else near.optimum.point
-    points = [first, *(one.optimum.point for one in near.found[1:])]
-    same = all(one.gain.size == len(records[0].axes) and one.measured == measured_by(records) for one in points)
-    return points if same and not first.structures else []
-
-
-def estimate_axis(
-    serving: Sequence[Flight],
-    axis: str,
-    moves: bool,
-    prior: GaussianPrior | None = None,
-    near: Estimate | None = None,
-) -> Estimate:
+def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: GaussianPrior | None = None) -> Estimate:
     """Estimates one axis by itself.
 
     Args:
@@ -98,7 +78,6 @@ def estimate_axis(
         axis: Name of the axis.
         moves: Whether its coefficients are estimated; if not, the gain is 0.
         prior: Prior on the coefficients; it is used only in the climb after the search has selected an optimum.
-        near: Its estimate from a part of the data, whose optima take the place of a search.
     """
     records = [rec for f in serving if (rec := record(f, (axis,)))]
     if not moves:
@@ -106,8 +85,8 @@ def estimate_axis(
         return Estimate(records, _idle(records, point), 0, (), False)
     parts = [excerpt(f, (axis,)) for f in serving]
     short = [rec for f in parts if (rec := record(f, (axis,)))]
-    found = search(short, parts, free_of(short, [True]), known_optima(near, short))
-    start = moved_to(records, found[0].optimum.point)
+    found = search(short, parts, free_of(short, [True]))
+    start = _moved_to(records, found[0].optimum.point)
     if _explains(parts, (axis,), short, found[0], 0):
         optimum = maximise_restricted(records, start, [True], prior)
         if _excited(serving, (axis,), records, optimum, start)[0]:
@@ -121,7 +100,11 @@ def _idle(records: Sequence[Record], point: Point) -> Optimum:
 
 
 def maximise_restricted(
-    records: Sequence[Record], start: Point, moving: Sequence[bool], prior: GaussianPrior | None = None
+    records: Sequence[Record],
+    start: Point,
+    moving: Sequence[bool],
+    prior: GaussianPrior | None = None,
+    hopeless: Callable[[Optimum], bool] = lambda _first: False,
 ) -> Optimum:
     """The maximum of the restricted likelihood, with the maximum of a first climb as its reference.
 
@@ -130,9 +113,18 @@ def maximise_restricted(
         start: Where to start.
         moving: Whether the coefficients of each axis are estimated.
         prior: Added to the objective.
+        hopeless: Whether the maximum of the first climb will do, since its law will be left out.
     """
     first = climb(records, start, free_of(records, moving, start.structures), prior=prior)
+    if hopeless(first):
+        return first
     return maximise(records, first.point, first.free, first.inverse, tolerance=FINAL, prior=prior)
+
+
+def _moved_to(records: Sequence[Record], point: Point) -> Point:
+    """Coefficients and levels of a point found on excerpts, with zero trims and the start velocities of the records."""
+    whole = start_point(records, 0.0, 1.0, point.levels)
+    return replace(whole, gain=point.gain, log_damping=point.log_damping, delay=point.delay)
 
 
 def couple_axes(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -212,7 +204,6 @@ def estimate_plane(
     group: Sequence[str],
     moving: Sequence[bool],
     prior: GaussianPrior | None = None,
-    near: Estimate | None = None,
 ) -> list[Estimate]:
     """Estimates x and y of a vehicle that turns, by their joint likelihood.
 
@@ -222,13 +213,12 @@ def estimate_plane(
         group: Names of the axes.
         moving: Whether the coefficients of each axis are estimated.
         prior: As for `estimate_axis`.
-        near: Likewise, of one of the axes.
     """
     parts = [excerpt(f, group) for f in serving]
     short = [rec for f in parts if (rec := record(f, group))]
-    found = search(short, parts, free_of(short, moving), known_optima(near, short))
+    found = search(short, parts, free_of(short, moving))
     excited = [moves and _explains(parts, group, short, found[0], k) for k, moves in enumerate(moving)]
-    start = without_gain(moved_to(records, found[0].optimum.point), np.logical_not(excited))
+    start = without_gain(_moved_to(records, found[0].optimum.point), np.logical_not(excited))
     optimum = maximise_restricted(records, start, excited, prior)
     after = np.logical_and(excited, _excited(serving, group, records, optimum, start)).tolist()
     if after != excited:

@@ -118,7 +118,7 @@ def _horizontal_response(rec: Record, laws: Array, start: Array, command: Array,
     )  # fmt: skip
     out[:, 3:5] *= laws[:, DAMPING, None]
     if not lagged:
-        return out[:, 0], out[:, [*range(1, 7), *range(9, 13)]]
+        return out[:, 0].copy(), out[:, [*range(1, 7), *range(9, 13)]]  # a view would keep all of it
     out[:, 7:9] *= laws[:, LAG, None]
     return out[:, 0], out[:, 1:]
 
@@ -151,7 +151,7 @@ def _lagged_response(rec: Record, point: Point, law: Array, start: Array) -> tup
     extras = [extra.place for extra in point.structures[0].extras]
     columns = [_LAGGED_COLUMNS.index(place) for place in (GAIN, DAMPING, DELAY, *extras, TRIM, START)]
     out[:, [_LAGGED_COLUMNS.index(DAMPING), _LAGGED_COLUMNS.index(LAG)]] *= law[0, [DAMPING, LAG]][:, None]
-    return out[:, 0], out[:, columns]
+    return out[:, 0].copy(), out[:, columns]
 
 
 _LAGGED_COLUMNS = (MEAN, GAIN, DAMPING, DELAY, LAG, ZERO, TRIM, START)

@@ -177,27 +177,28 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         pose_range.append((n, n + last - first))
         command_range.append(np.searchsorted(command_time, [segment.start, segment.end]))
         times.append(bins + block_count)
-        index.append(np.arange(first, last))
+        index.append(slice(first, last))
         n += last - first
         block_count += bins[-1] + 1
     if not starts:
         return None
-    keep, block = (part[0] if len(part) == 1 else np.concatenate(part) for part in (index, times))
+    alone = len(index) == 1  # a slice of the flight takes no memory
+    keep, block = (index[0], times[0]) if alone else (np.r_[tuple(index)], np.concatenate(times))
     count = np.bincount(block).astype(float)
     fresh = np.zeros(block_count, bool)
     fresh[block[[i for i, _ in pose_range]]] = True
     mean = np.column_stack([np.bincount(block, pose[k][keep]) / count for k in column])
     mean -= mean[np.flatnonzero(fresh)][np.cumsum(fresh) - 1]
-    yaw = flight.yaw[keep]
+    pose_time, yaw = (np.require(part[keep], None, ["C", "W"]) for part in (t, flight.yaw))  # as kernels are compiled
     block_yaw = np.bincount(block, yaw) / count
-    block_time = np.bincount(block, t[keep]) / count
+    block_time = np.bincount(block, pose_time) / count
     steps, step = distinct_steps(block_time)
     return Record(
         axes=tuple(axes),
         starts=np.array(starts),
         pose_range=np.array(pose_range),
         command_range=np.array(command_range),
-        pose_time=t[keep],
+        pose_time=pose_time,
         yaw=yaw,
         block=block,
         count=count,

@@ -81,6 +81,15 @@ class Optimum:
         """Inverse of the expected information over the free parameters, zero elsewhere, shape (n + L K, n + L K)."""
         return inverted(self.score.information, self.free)
 
+    @property
+    def promise(self) -> float:
+        """Expected gain in log-likelihood of one step that moves the levels as well, where they were held."""
+        free = self.free.copy()
+        free[self.point.n :] = True
+        movable = free & ~at_bound(self.point, self.score.gradient)
+        step = inverted(_damped(self.score.information, self.point.n), movable) @ self.score.gradient
+        return 0.5 * float(step @ self.score.gradient)
+
 
 @dataclass
 class _Objective:

@@ -8,8 +8,9 @@ intervals of an axis contain those of all of them.
 Source: J. A. Hoeting et al., Statistical Science 14 (1999), pp. 382-417 (averaging over models).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -23,9 +24,8 @@ from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, ex
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached
 from rotorfit.estimation.likelihood.law_selection import effective_samples
 from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
-from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
-from rotorfit.estimation.likelihood.richer_laws import PriorOf, estimate_laws, under_law
+from rotorfit.estimation.likelihood.richer_laws import Hopeless, PriorOf, estimate_laws, never, under_law
 
 LAGGED, LED = STRUCTURES["first_order_delay_lag"], STRUCTURES["second_order_zero"]
 """The laws of the family besides the first-order law with a delay."""
@@ -45,8 +45,18 @@ NO_ZERO = 0.005
 ROUNDING = 1e-9
 """Lower limit of a conditional variance relative to the marginal one: below it is rounding."""
 
+OTHER_MAXIMUM = 1.0
+"""Smallest rise of the log-likelihood for which a maximum at other levels takes the place of the first."""
+
+LIKELIER = 0.05
+"""Smallest rise of the log-likelihood for which a climb from other levels counts: below it is the climbs' tolerance."""
+
 LEAST_WEIGHT = 0.1
 """Weight below which a law is left out: strong evidence against it (Kass and Raftery, odds of 10)."""
+
+PROMISED, SPARE = 3.0, 1.0
+"""How many times the expected gain of one step, and how much in addition, the rest of a climb may add to the evidence:
+more than any did to a law that had fallen behind."""
 
 
 @dataclass(frozen=True)
@@ -76,23 +86,39 @@ class Family:
 
 
 def families(
-    serving: Sequence[Flight],
-    estimates: Mapping[str, Estimate],
-    priors: Mapping[str, Mapping[str, Prior]],
-    near: Mapping[str, Estimate] | None = None,
+    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
 ) -> dict[str, Family]:
     """The default laws of the axes of one group; arguments as for `default_laws`."""
     return {
-        axis: _weighed(plain, _needed(serving, plain, richer), (plain, *richer))
-        for axis, (plain, *richer) in default_laws(serving, estimates, priors, near).items()
+        axis: _family(serving, plain, richer)
+        for axis, (plain, *richer) in default_laws(serving, estimates, priors, _cannot_hold).items()
     }
+
+
+def _family(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimate]) -> Family:
+    """The laws of one axis, weighed; where the others cannot hold, what they predict is of no account."""
+    if all(_cannot_hold(plain, one) for one in richer):
+        plain = no_worse(plain, richer)
+        return Family(plain, (Law(plain, 1.0),))
+    return _weighed(plain, _needed(serving, plain, richer))
+
+
+def _cannot_hold(plain: Estimate, richer: Estimate) -> bool:
+    """Whether the weight of a law will be below `LEAST_WEIGHT`, however the rest of its climb ends.
+
+    The average of its likelihood changes little where lag and zero only trade against each other, which is where climbs
+    are long.
+    """
+    share = effective_samples(max((plain, richer), key=lambda one: one.optimum.score.log_likelihood))[1]
+    most = _evidence(richer, share) + PROMISED * richer.optimum.promise + SPARE
+    return most < _evidence(plain, share) + float(np.log(LEAST_WEIGHT))
 
 
 def default_laws(
     serving: Sequence[Flight],
     estimates: Mapping[str, Estimate],
     priors: Mapping[str, Mapping[str, Prior]],
-    near: Mapping[str, Estimate] | None = None,
+    hopeless: Callable[[Estimate, Estimate], bool] = lambda _plain, _richer: False,
 ) -> dict[str, tuple[Estimate, ...]]:
     """The maximum of every default law that an axis may have, the first-order law with a delay first.
 
@@ -100,23 +126,27 @@ def default_laws(
         serving: The flights of the group.
         estimates: Estimates under the first-order law with a delay, by axis.
         priors: Priors of the card by axis and coefficient; empty to use none.
-        near: Estimates of the axes from a part of the data, whose maxima take the place of a search.
+        hopeless: Whether the climb of a law, compared with the first-order law, is given up; the law stays where its
+            climb stood. A law from which another starts is always climbed, and so is one beside a law that may hold.
     """
-    known = {axis: near[axis].laws if near and axis in near else () for axis in estimates}
 
     def prior_of(axes: Sequence[str], structures: Sequence[Structure]) -> GaussianPrior | None:
         return lag_prior(structures, gaussian_prior(priors, axes))
 
     group = tuple(estimates)
-    if not all(known.values()):
-        estimates = _relevelled(estimates)
-    tops = {axis: laws[1] for axis, laws in known.items() if len(laws) > 1}
-    lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of, tops)
+    estimates = _relevelled(estimates)
+
+    def given_up(axes: Sequence[str], begun: Optimum) -> bool:
+        known = [(k, estimates[axis]) for k, axis in enumerate(axes) if estimates[axis].excited]
+        return all(hopeless(plain, replace(plain, optimum=begun, place=k)) for k, plain in known)
+
+    lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of, given_up)
     out: dict[str, tuple[Estimate, ...]] = {}
     for axis, plain in estimates.items():
         out[axis] = (plain, lagged[axis]) if plain.excited else (plain,)
         if plain.excited and axis in WITH_LOOP:
-            out[axis] += (_led(axis, lagged[axis], plain, prior_of, known[axis][2] if len(known[axis]) > 2 else None),)
+            alone = hopeless(plain, lagged[axis])  # a law that holds is weighed by the innovations of the likeliest one
+            out[axis] += (_led(axis, lagged[axis], plain, prior_of, given_up if alone else never),)
     return out
 
 
@@ -138,17 +168,23 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
         moving = [bool(optimum.free[k]) for k in range(K)]
         if id(optimum) not in found:
             start = approached(estimate.records, start, optimum.free, optimum.prior)
-            again = maximise_restricted(estimate.records, start, moving, optimum.prior)
-            better = again.score.log_likelihood > optimum.score.log_likelihood + 1.0 and not _inverted(again)
+            least = optimum.score.log_likelihood + OTHER_MAXIMUM
+            again = maximise_restricted(estimate.records, start, moving, optimum.prior, partial(_stays_below, least))
+            better = again.score.log_likelihood > least and not _inverted(again)
             found[id(optimum)] = again if better else optimum
     return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
 
 
-def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf, near: Point | None) -> Estimate:
+def _stays_below(least: float, first: Optimum) -> bool:
+    """Whether the second climb to a maximum cannot raise the log-likelihood of the first to `least`."""
+    return first.score.log_likelihood + PROMISED * first.promise + 0.5 * OTHER_MAXIMUM < least
+
+
+def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf, given_up: Hopeless) -> Estimate:
     """The law with a zero, climbed from the levels of the likelier of the other two."""
     better = max((lagged, plain), key=lambda one: one.optimum.score.log_likelihood)
     levels = replace(plain.optimum, point=replace(plain.optimum.point, levels=better.optimum.point.levels))
-    return under_law(replace(plain, optimum=levels), axis, LED, prior_of, near)
+    return under_law(replace(plain, optimum=levels), axis, LED, prior_of, given_up)
 
 
 def _needed(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimate]) -> list[Estimate]:
@@ -176,11 +212,10 @@ def _moves_as_lagged(led: Estimate) -> bool:
     return overdamped and value["zero"] < NO_ZERO
 
 
-def _weighed(plain: Estimate, tried: Sequence[Estimate], every: Sequence[Estimate]) -> Family:
+def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:
     """The laws with their posterior weights from equal prior weights; laws whose climb has not ended are left out."""
     ended = [one for one in tried if not unfinished(one.optimum, one.place)]
-    plain = replace(no_worse(plain, ended), laws=(tops := tuple(one.optimum.point for one in every)))
-    ended = [replace(one, laws=tops) for one in ended]
+    plain = no_worse(plain, ended)
     if not ended:
         return Family(plain, (Law(plain, 1.0),))
     laws = [plain, *ended]
@@ -224,15 +259,14 @@ def _log_prior(extra: Extra, value: float) -> float:
 
 
 def no_worse(plain: Estimate, others: Sequence[Estimate]) -> Estimate:
-    """The first-order law climbed again from the levels of a likelier law, where that is higher."""
+    """The first-order law climbed again from the levels of a likelier law, where that is higher by `LIKELIER`."""
     best = max((plain, *others), key=lambda one: one.optimum.score.log_likelihood)
     if best is plain or plain.optimum.point.gain.size > 1:
         return plain
     start = replace(plain.optimum.point, levels=best.optimum.point.levels)
     again = maximise_restricted(plain.records, start, [True], plain.optimum.prior)
-    if again.score.log_likelihood <= plain.optimum.score.log_likelihood or _inverted(again):
-        return plain
-    return replace(plain, optimum=again)
+    likelier = again.score.log_likelihood > plain.optimum.score.log_likelihood + LIKELIER
+    return replace(plain, optimum=again) if likelier and not _inverted(again) else plain
 
 
 def _inverted(optimum: Optimum) -> bool:

@@ -32,17 +32,22 @@ def settle_levels(
         Axes, records and optimum, of all axes together or one entry per axis; empty where the flights are too short.
     """
     axes = ("x", "y") if {"x", "y"} & set(points) else tuple(points)
-    records = [rec for flight in flights if (rec := record(flight, axes))]
+    records = _records(flights, axes)
     if not records:
         return []
-    groups = [(axis,) for axis in points] if all(rec.held for rec in records) else [axes]
-    return [_settled(flights, group, points) for group in groups]
+    if not all(rec.held for rec in records):
+        return [_settled(records, axes, points)]
+    alone = {axis: records if axes == (axis,) else _records(flights, (axis,)) for axis in points}
+    return [_settled(some, (axis,), points) for axis, some in alone.items()]
+
+
+def _records(flights: Sequence[Flight], axes: Sequence[str]) -> list[Record]:
+    return [rec for flight in flights if (rec := record(flight, axes))]
 
 
 def _settled(
-    flights: Sequence[Flight], group: tuple[str, ...], points: Mapping[str, Predictor]
+    records: list[Record], group: tuple[str, ...], points: Mapping[str, Predictor]
 ) -> tuple[tuple[str, ...], list[Record], Optimum]:
-    records = [rec for flight in flights if (rec := record(flight, group))]
     chosen = [points.get(axis, Predictor(0.0, 1.0, 0.0)) for axis in group]
     start = replace(
         start_point(records, 0.0, 1.0, np.tile(start_levels(measured_by(records)), (len(group), 1))),

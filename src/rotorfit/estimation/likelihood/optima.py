@@ -90,22 +90,7 @@ def _start_velocity(rec: Record) -> Array:
     return (rec.position[last] - rec.position[first]) / elapsed[:, None]  # type: ignore[no-any-return]
 
 
-def moved_to(records: Sequence[Record], point: Point) -> Point:
-    """Laws and levels of a point found on other data, with zero trims and the start velocities of these records."""
-    whole = start_point(records, 0.0, 1.0, point.levels)
-    return replace(
-        whole,
-        gain=point.gain,
-        log_damping=point.log_damping,
-        delay=point.delay,
-        structures=point.structures,
-        extra=point.extra,
-    )
-
-
-def search(
-    records: Sequence[Record], flights: Sequence[Flight], free: Mask, known: Sequence[Point] = ()
-) -> tuple[CandidateOptimum, ...]:
+def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> tuple[CandidateOptimum, ...]:
     """Climbs from every start and collects the distinct optima, the selected one first.
 
     The climb from the first start also estimates the disturbance levels; the others start with those levels held, and
@@ -115,11 +100,8 @@ def search(
         records: The flights as input of the likelihood.
         flights: The same flights, for the predictions by which optima are judged.
         free: True for the free parameters, shape (n + L K,).
-        known: Optima on a part of the data; if there are any, only they are climbed, with free levels.
     """
     K = len(records[0].axes)
-    if known:
-        return _judged(records, flights, free, _climbed_again(records, free, known))
     levels = np.tile(start_levels(measured_by(records)), (K, 1))
     held_levels = free.copy()
     held_levels[-levels.size :] = False
@@ -134,27 +116,14 @@ def search(
             continue
         rise = climb if number == 0 else maximise  # later starts have levels with moderate poles already
         climbed = rise(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
-        _collect(climbed, optima, starts)
+        if not _counted(climbed.point, optima, starts):
+            optima.append(climbed)
+            starts.append(1)
         if number == 0:
             levels = climbed.point.levels
-    return _judged(records, flights, free, list(zip(optima, starts, strict=True)))
-
-
-def _climbed_again(records: Sequence[Record], free: Mask, known: Sequence[Point]) -> list[tuple[Optimum, int]]:
-    """The distinct optima that are climbed from known ones, and from how many each."""
-    optima: list[Optimum] = []
-    starts: list[int] = []
-    for point in known:
-        start = without_gain(moved_to(records, point), ~free[: point.gain.size])
-        _collect(maximise(records, start, free, tolerance=0.3, most=FINISH), optima, starts)
-    return list(zip(optima, starts, strict=True))
-
-
-def _collect(climbed: Optimum, optima: list[Optimum], starts: list[int]) -> None:
-    """Adds an optimum with one start, or counts one more start of that which it equals."""
-    if not _counted(climbed.point, optima, starts):
-        optima.append(climbed)
-        starts.append(1)
+    predictions = [prediction_error(flights, records[0].axes, optimum) for optimum in optima]
+    found = [CandidateOptimum(o, n, *p) for o, n, p in zip(optima, starts, predictions, strict=True)]
+    return _ranked([*found, *_crossed(records, flights, free, found)])
 
 
 def _counted(point: Point, optima: Sequence[Optimum], starts: list[int]) -> bool:
@@ -163,16 +132,6 @@ def _counted(point: Point, optima: Sequence[Optimum], starts: list[int]) -> bool
     if same is not None:
         starts[same] += 1
     return same is not None
-
-
-def _judged(
-    records: Sequence[Record], flights: Sequence[Flight], free: Mask, climbed: Sequence[tuple[Optimum, int]]
-) -> tuple[CandidateOptimum, ...]:
-    """Optima, each with the number of its starts, as candidates, the selected one first."""
-    optima, starts = [optimum for optimum, _ in climbed], [number for _, number in climbed]
-    predictions = [prediction_error(flights, records[0].axes, optimum) for optimum in optima]
-    found = [CandidateOptimum(o, n, *p) for o, n, p in zip(optima, starts, predictions, strict=True)]
-    return _ranked([*found, *_crossed(records, flights, free, found)])
 
 
 def _crossed(

@@ -7,6 +7,7 @@ from the best points of a grid.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,11 +15,10 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, heading_from_world, world_from_heading
 from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Structure
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, free_of, maximise_restricted
-from rotorfit.estimation.likelihood.blocks import Record, measured_by, record
+from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.law_search import law_starts, swapped
 from rotorfit.estimation.likelihood.likelihood import segments
-from rotorfit.estimation.likelihood.optima import moved_to
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior
 
@@ -36,8 +36,17 @@ PriorOf = Callable[[Sequence[str], Sequence[Structure]], GaussianPrior | None]
 """From axes and their laws to the prior of their parameters."""
 
 
+Hopeless = Callable[[Sequence[str], Optimum], bool]
+"""From axes and where a climb under their laws stands to whether it may be given up."""
+
+
 def nothing_believed(_axes: Sequence[str], _structures: Sequence[Structure]) -> None:
     """No prior."""
+
+
+def never(_axes: Sequence[str], _begun: Optimum) -> bool:
+    """Every climb goes on to its maximum."""
+    return False
 
 
 def estimate_laws(
@@ -45,7 +54,7 @@ def estimate_laws(
     estimates: Mapping[str, Estimate],
     structures: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
-    near: Mapping[str, Point] | None = None,
+    hopeless: Hopeless = never,
 ) -> dict[str, Estimate]:
     """Estimates of the axes of one group under other structures.
 
@@ -54,9 +63,9 @@ def estimate_laws(
         estimates: Estimates under the first-order law with a delay, by axis.
         structures: Requested structure of each axis; an axis that is not excited keeps the first-order law.
         prior_of: Gives the prior of the laws.
-        near: Maxima of these axes under their structures on a part of the data, which take the place of a search.
+        hopeless: Which climbs of the joint likelihood of x and y are given up; their laws stay where the climb stood.
     """
-    group, near = tuple(estimates), near or {}
+    group = tuple(estimates)
     wanted = {
         axis: applicable_structure(structures[axis], group) if estimates[axis].excited else FIRST_ORDER_DELAY
         for axis in group
@@ -65,8 +74,8 @@ def estimate_laws(
         return dict(estimates)
     crossed = any(structure.kicks >= 2 for structure in wanted.values())
     if len(group) == 2 and (crossed or estimates[group[0]].optimum.point.gain.size == 2):
-        return _together(serving, group, estimates, wanted, prior_of, near.get(group[0]))
-    out = {axis: under_law(estimates[axis], axis, wanted[axis], prior_of, near.get(axis)) for axis in group}
+        return _together(serving, group, estimates, wanted, prior_of, hopeless)
+    out = {axis: under_law(estimates[axis], axis, wanted[axis], prior_of) for axis in group}
     if len(group) == 2:
         joint = _records(serving, group)
         plain = [replace(out[axis], records=_records(serving, (axis,))) for axis in group]
@@ -109,27 +118,21 @@ def under_law(
     axis: str,
     structure: Structure,
     prior_of: PriorOf = nothing_believed,
-    near: Point | None = None,
+    hopeless: Hopeless = never,
 ) -> Estimate:
-    """Estimate of one axis by itself under a structure, climbed from a maximum on a part of the data if it is known."""
+    """Estimate of one axis by itself under a structure; arguments as for `estimate_laws`."""
     if structure == FIRST_ORDER_DELAY:
         return estimate
-    prior = prior_of((axis,), (structure,))
-    if near and _goes_on(near, estimate.records, (structure,)):
-        start = moved_to(estimate.records, near)
-        return replace(estimate, optimum=finished(estimate.records, start, [True], prior))
+    records, prior = estimate.records, prior_of((axis,), (structure,))
     found = [
-        _begun(estimate.records, point, [True], prior)
-        for point in _starts(estimate.records, estimate.optimum.point, 0, structure, prior)
+        _begun(records, point, [True], prior) for point in _starts(records, estimate.optimum.point, 0, structure, prior)
     ]
-    highest = max(value for value, _ in found)
-    tops = [finished(estimate.records, point, [True], prior) for value, point in found if value > highest - NEAR]
+    highest = max(one.score.objective for one in found)
+    found = [one for one in found if one.score.objective > highest - NEAR]
+    if all(hopeless((axis,), one) for one in found):
+        return replace(estimate, optimum=found[0])
+    tops = [finished(records, one.point, [True], prior, hopeless) for one in found]
     return replace(estimate, optimum=max(tops, key=posterior))
-
-
-def _goes_on(near: Point, records: Sequence[Record], structures: Sequence[Structure]) -> bool:
-    """Whether a maximum on a part of the data is one of these laws, by the same kind of measurement."""
-    return tuple(near.structures) == tuple(structures) and near.measured == measured_by(records)
 
 
 def posterior(top: Optimum) -> float:
@@ -137,12 +140,19 @@ def posterior(top: Optimum) -> float:
     return top.score.log_likelihood + (top.prior.exponent(top.point) if top.prior else 0.0)
 
 
-def finished(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
+def finished(
+    records: Sequence[Record],
+    point: Point,
+    moving: Sequence[bool],
+    prior: GaussianPrior | None,
+    hopeless: Hopeless = never,
+) -> Optimum:
     """The maximum; where lag and damping ended swapped, the equivalent maximum with the two exchanged."""
-    optimum = maximise_restricted(records, point, moving, prior)
+    given_up = partial(hopeless, records[0].axes)
+    optimum = maximise_restricted(records, point, moving, prior, given_up)
     for k in range(point.gain.size):
         if other := swapped(optimum.point, k):
-            optimum = maximise_restricted(records, other, moving, prior)
+            optimum = maximise_restricted(records, other, moving, prior, given_up)
     return optimum
 
 
@@ -155,14 +165,11 @@ def _starts(
     return starts(records, point, k, structure)
 
 
-def _begun(
-    records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None
-) -> tuple[float, Point]:
-    """Objective and end point of a short climb with the levels of the start held."""
+def _begun(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
+    """The end of a short climb with the levels of the start held."""
     free = free_of(records, moving, point.structures)
     free[point.n :] = False
-    optimum = maximise(records, point, free, tolerance=0.3, most=25, prior=prior)
-    return optimum.score.objective, optimum.point
+    return maximise(records, point, free, tolerance=0.3, most=25, prior=prior)
 
 
 def _together(
@@ -171,7 +178,7 @@ def _together(
     estimates: Mapping[str, Estimate],
     wanted: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
-    near: Point | None = None,
+    hopeless: Hopeless = never,
 ) -> dict[str, Estimate]:
     """Estimates of x and y by their joint likelihood: each axis in turn takes its best start, then both climb."""
     first = estimates[group[0]]
@@ -181,17 +188,17 @@ def _together(
     else:
         records = _records(serving, group)
         point = _side_by_side(records, [estimates[axis] for axis in group])
-    point, known = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2))), False
-    if near and _goes_on(near, records, [wanted[axis] for axis in group]):
-        point, known = moved_to(records, near), True
+    point, best = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2))), None
     for k, axis in enumerate(group):
-        if wanted[axis] != FIRST_ORDER_DELAY and not known:
+        if wanted[axis] != FIRST_ORDER_DELAY:
             laws = (*point.structures[:k], wanted[axis], *point.structures[k + 1 :])
             prior = prior_of(group, laws)
             found = [_begun(records, start, moving, prior) for start in _starts(records, point, k, wanted[axis], prior)]
-            point = max(found, key=lambda one: one[0])[1]
-    optimum = finished(records, point, moving, prior_of(group, point.structures))
-    return {axis: replace(estimates[axis], records=records, optimum=optimum, place=k) for k, axis in enumerate(group)}
+            best = max(found, key=lambda one: one.score.objective)
+            point = best.point
+    if not (best and hopeless(group, best)):
+        best = finished(records, point, moving, prior_of(group, point.structures), hopeless)
+    return {axis: replace(estimates[axis], records=records, optimum=best, place=k) for k, axis in enumerate(group)}
 
 
 def _side_by_side(records: Sequence[Record], estimates: Sequence[Estimate]) -> Point:
