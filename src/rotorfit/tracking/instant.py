@@ -34,7 +34,7 @@ FLAT = 1e-9
 
 
 def changed_when(scores: Scores, low: float) -> tuple[float, tuple[float, float]]:
-    """The likeliest instant of a change, and its central 95 % interval [s].
+    """The median of the instant of a change, and its central 95 % interval [s].
 
     Args:
         scores: Those of the likelihood that shows the change.
@@ -50,8 +50,8 @@ def changed_when(scores: Scores, low: float) -> tuple[float, tuple[float, float]
     products /= _mean_square(now, scores.jolts, first[best], solution[best])
     log, _ = _log_posterior(products, known)
     share = np.exp(log - log.max())
-    early, late = instants[np.searchsorted(np.cumsum(share), np.array([0.025, 0.975]) * share.sum())]
-    return float(instants[np.argmax(log)]), (float(early) - SLACK, min(float(late) + SLACK, float(now.time[-1])))
+    early, median, late = instants[np.searchsorted(np.cumsum(share), np.array([0.025, 0.5, 0.975]) * share.sum())]
+    return float(median), (float(early) - SLACK, min(float(late) + SLACK, float(now.time[-1])))
 
 
 def _shifts(scores: Scores, jolts: Array, at: int) -> Array:
