@@ -24,17 +24,13 @@ from rotorfit.core.frames import Array, Mask
 from rotorfit.core.model import NORMAL
 from rotorfit.core.tracked import Cause
 from rotorfit.tracking.changes import Contrast
-from rotorfit.tracking.scores import FADES, Scores
+from rotorfit.tracking.scores import Scores
 
 PRICE = float(np.log(60.0))
 """Penalty for each parameter of a cause: the logarithm of the number of independent samples in about two seconds."""
 
 CURVED = 0.1
 """Error of the first-order shift over the square of the shift, both in units of `scores.EXPECTED`."""
-
-COMPENSATES = (0.2, 1.7)
-"""Time constants with which an autopilot may learn a push [s]: a thrust estimate that follows the acceleration, and the
-slow pole of a climb loop with an integrator. Jolts are looked for with `scores.FADES`, which lies between."""
 
 WORDS: Mapping[Cause, str] = {
     "payload": "a payload was taken up or dropped, or thrust was lost evenly: weight against thrust has changed",
@@ -96,9 +92,8 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     evidence = {cause: float(share[named == cause].sum() / share.sum()) for cause, _ in causes}
     cause = max(evidence, key=lambda one: evidence[one])
     moved, error = fitted[int(np.argmin(np.where(named == cause, costs, np.inf)))]
-    age = [float(scores.time[-1]) - found.since if found.jolt else 0.0 for scores, found in parts]
-    change = _intervals(names, moved, error, scale, np.repeat(age, np.diff(ends)))
-    if cause == "thrust":  # what it does to x and y is no change of their coefficients
+    change = _intervals(names, moved, error, scale)
+    if cause in ("payload", "thrust"):  # what else moves follows the push
         change = {name: interval for name, interval in change.items() if name.endswith(".trim")}
     axes = tuple(dict.fromkeys(name.split(".")[0] for name in change))
     second = max(((each, one) for one, each in evidence.items() if one != cause), default=None)
@@ -159,39 +154,20 @@ def _fitted(basis: Array, shift: Array, precision: Array) -> tuple[Array, Array]
     return moved, np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, inverse, basis), 0.0))
 
 
-def _intervals(
-    names: Sequence[str], moved: Array, error: Array, scale: Array, fading: Array
-) -> dict[str, tuple[float, float]]:
-    """95 % intervals of what changed, in natural units; `fading` is the age of a push that fades, else 0 [s]."""
+def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -> dict[str, tuple[float, float]]:
+    """95 % intervals of what changed, in natural units."""
     out = {}
-    for name, value, wide, size, age in zip(names, moved, error, scale, fading, strict=True):
+    for name, value, wide, size in zip(names, moved, error, scale, strict=True):
         if wide == 0.0:
             continue
         low, high = (value - NORMAL * wide) * size, (value + NORMAL * wide) * size
         kind = name.split(".")[1]
         if kind == "input":  # the motion is linear in the gain, not in its logarithm
             low, high = 1 + low, 1 + high
-        elif kind == "trim" and age > 0:
-            ends = [end * _first_push(age, time) for end in (low, high) for time in COMPENSATES]
-            low, high = min(ends), max(ends)
         elif kind not in ("delay", "trim"):
             low, high = float(np.exp(low)), float(np.exp(high))
         out[name] = (float(low), float(high))
     return out
-
-
-def _first_push(age: float, time: float) -> float:
-    """First acceleration of a push that fades with a time constant, over that of one with `FADES` fitted to it.
-
-    By least squares to the acceleration since, as the innovations of accurate poses show it: with the rates a of
-    `FADES` and c of the push, the ratio of the integrals of exp(-(a + c) t) and exp(-2 c t).
-
-    Args:
-        age: Time since the push [s].
-        time: Its time constant [s].
-    """
-    both, own = 1 / FADES + 1 / time, 2 / time
-    return float(np.expm1(-both * age) / both / (np.expm1(-own * age) / own))
 
 
 def _why(cause: Cause, second: tuple[float, Cause] | None) -> str:

@@ -488,21 +488,27 @@ def _alike(names: Sequence[str], kind: str) -> Array:
     return np.array([[float(name.endswith(f".{kind}"))] for name in names])
 
 
-def calm(scores: Scores, since: float, p_value: float) -> bool:
+def calm(scores: Scores, before: float, since: float, p_value: float) -> bool:
     """Whether the air around a change is as calm as in the rest of the regime, apart from the change itself.
 
     Rising gusts make the innovations too large for seconds. A change of the vehicle leaves the innovations before it
     as they were, and those after it too once its shifts, or its jolt, are subtracted. With a p-value below `SURE` the
     calm after the change is not required.
+
+    Args:
+        scores: Those of the likelihood that shows the change.
+        before: Time before which it certainly had not come [s]: the innovations until then are of the old vehicle.
+        since: Its probable time [s].
+        p_value: That of the change.
     """
     time, e = scores.time, scores.innovation
-    usual = max(float(np.mean(e[time < since - BEFORE] ** 2)) if time[0] < since - BEFORE else 1.0, 1.0)
-    before = e[(time >= since - BEFORE) & (time < since)]
+    usual = max(float(np.mean(e[time < before - BEFORE] ** 2)) if time[0] < before - BEFORE else 1.0, 1.0)
+    last = e[(time >= before - BEFORE) & (time < before)]
     after, compared = e[time > since + FADES], _compared(scores, [since])
     left = min(float(np.mean(after**2)) if after.size else np.inf, compared[0].noise if compared else np.inf)
     return (
-        before.size > 0
-        and float(np.mean(before**2)) < (1 + CALM_BEFORE * np.sqrt(2 / before.size)) * usual
+        last.size > 0
+        and float(np.mean(last**2)) < (1 + CALM_BEFORE * np.sqrt(2 / last.size)) * usual
         and (left < CALM_AFTER * usual or p_value < SURE)
     )
 
@@ -519,7 +525,9 @@ def at_once(scores: Scores, looked: Sequence[Contrast], change: Contrast) -> Con
 
 
 def likeliest(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> Contrast:
-    """The contrast that shows a change best: its window begins when the vehicle changed, or it is a jolt.
+    """The contrast that shows a change best: its window begins when the vehicle changed, or it is a push.
+
+    A contrast along the direction of another typical change tells nothing of the others: it would name its own cause.
 
     Args:
         scores: Those of the likelihood that shows the change.
@@ -529,8 +537,8 @@ def likeliest(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> Co
     now = float(scores.time[-1])
     end = now - WINDOWS[0] + STEP  # a shorter window takes one shift for another
     tried = [one for t in np.arange(earliest(scores, found), end, STEP) if (one := contrast(scores, float(t)))]
-    again = [one for one in looked if abs(one.since - found.since) < TOGETHER]
-    return max((*tried, *again, found), key=lambda one: one.statistic - 2 * one.directions)
+    near = [one for one in (found, *looked) if abs(one.since - found.since) < TOGETHER and pushes(scores.names, one)]
+    return max((*tried, *near) or (found,), key=lambda one: one.statistic - 2 * one.directions)
 
 
 def earliest(scores: Scores, found: Contrast) -> float:

@@ -25,9 +25,10 @@ from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.zero_command import late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
-from rotorfit.tracking.causes import diagnosis
+from rotorfit.tracking.causes import Diagnosis, diagnosis
 from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
+    NEW,
     Contrast,
     at_once,
     calm,
@@ -52,6 +53,7 @@ from rotorfit.tracking.groups import (
     scores_of_groups,
 )
 from rotorfit.tracking.instant import changed_when
+from rotorfit.tracking.push import push_interval
 from rotorfit.tracking.refits import (
     REFIT,
     AxisReport,
@@ -154,6 +156,7 @@ class Following:
         self._laws: dict[str, str] = {}
         self._known: dict[str, float] = {}
         self._raised: _Raised | None = None
+        self._suspected: float | None = None
         self._watched: dict[str, float] = {}
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
@@ -189,8 +192,9 @@ class Following:
         """
         self.next_look = next_look(self.next_look, now)
         before = self._as_refitted()
-        self._groups = {axes: self._looked(axes, flight, now) for axes in groups_of([flight], flight.axes)}
         alarm = self._change(flight, now, standing)
+        if not self._suspects(now):
+            self._groups = {axes: self._looked(axes, flight, now) for axes in groups_of([flight], flight.axes)}
         state = self._tracked(flight, now, (alarm,) if alarm else ())
         if self._earlier and not alarm and state.model is not before:
             unlike = self._another_vehicle(state, self._earlier)
@@ -255,6 +259,7 @@ class Following:
             lengths: Lengths of the windows that are tested [s].
         """
         raised, self._raised = self._raised, None
+        suspected, self._suspected = self._suspected, None
         if standing:
             return None
         if raised and now < raised.alarm.time + REVISED - 1e-6:
@@ -276,7 +281,9 @@ class Following:
             return None
         names, first, p_value = found
         best = likeliest(scored[names], first, looked[names])
-        if not raised and not calm(scored[names], best.since, p_value):
+        when, since = changed_when(scored[names], earliest(scored[names], first))
+        if not raised and not calm(scored[names], min(since[0], best.since), best.since, p_value):
+            self._suspected = suspected or now
             return None  # the air, not the vehicle
         if not raised and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
@@ -287,13 +294,12 @@ class Following:
             if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
         ]
         named = diagnosis([(scored[names], best), *others])
-        when, since = changed_when(scored[names], earliest(scored[names], first))
         alarm = Alarm(
             time=now,
             axes=tuple(axis for axis in AXES if axis in named.axes),
             cause=named.cause,
             since=since,
-            change=named.change if raised else {},
+            change=_sizes(named, scored, since) if raised else {},
             confidence=named.confidence,
             p_value=p_value,
             why=named.why,
@@ -302,6 +308,10 @@ class Following:
         self._raised = None if raised else _Raised(alarm, names, first, looked, before)
         self._begin(alarm, when, before)
         return alarm
+
+    def _suspects(self, now: float) -> bool:
+        """Whether a change may have come that only the air speaks against: what is learnt of it would hide it."""
+        return self._suspected is not None and now < self._suspected + NEW
 
     def _watch(self, scored: Mapping[tuple[str, ...], Scores], lengths: Sequence[float], now: float) -> None:
         """Notes the axes about which an alarm can be raised from now on."""
@@ -454,6 +464,16 @@ class Following:
             ahead=motion.ahead,
             ahead_ci95=_around(motion.ahead, motion.ahead_error),
         )
+
+
+def _sizes(
+    named: Diagnosis, scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float]
+) -> Mapping[str, tuple[float, float]]:
+    """The intervals of a change; a push has that of its first acceleration."""
+    if named.cause not in ("payload", "thrust"):
+        return named.change
+    axes = {name: next(scores for names, scores in scored.items() if name in names) for name in named.change}
+    return {name: push_interval(scores, since) for name, scores in axes.items()}
 
 
 def _rarest(

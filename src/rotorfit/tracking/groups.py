@@ -65,14 +65,14 @@ def held_axes(group: Group, flight: Flight, now: float) -> tuple[str, ...]:
 
 
 def renewed_groups(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
-    """The estimates of groups, unmoved, applied to the flight so far; those of a look at this moment are already."""
+    """The estimates of groups, unmoved, applied to the flight so far."""
     out = []
     for group in groups.values():
         if group.fitted is None:
             continue
         part = group.part(flight, looks_back(group.since, now), now)
         if part and part.duration >= LEAST_TIME:
-            out.append(group.fitted if group.looked == now else renewed(group.fitted, part))
+            out.append(renewed(group.fitted, part))
     return out
 
 

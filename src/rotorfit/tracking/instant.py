@@ -40,34 +40,44 @@ def changed_when(scores: Scores, low: float) -> tuple[float, tuple[float, float]
         scores: Those of the likelihood that shows the change.
         low: Earliest instant that is considered [s].
     """
-    now = (scores, *scores.under_gusts)[scores.gusts]
+    now = now_of(scores)
     instants = np.arange(low, now.time[-1], SPACING)
     first = np.searchsorted(now.time, instants)
-    products = np.array([_products(now, scores.jolts, at) for at in first])
+    products = np.array([_products(now, at) for at in first])
     known = now.rows.shape[1] - 1
     log, solution = _log_posterior(products, known)
     best = int(np.argmax(log))
-    products /= _mean_square(now, scores.jolts, first[best], solution[best])
+    products /= _mean_square(now, first[best], solution[best])
     log, _ = _log_posterior(products, known)
     share = np.exp(log - log.max())
     early, median, late = instants[np.searchsorted(np.cumsum(share), np.array([0.025, 0.5, 0.975]) * share.sum())]
     return float(median), (float(early) - SLACK, min(float(late) + SLACK, float(now.time[-1])))
 
 
-def _shifts(scores: Scores, jolts: Array, at: int) -> Array:
+def now_of(scores: Scores) -> Scores:
+    """The scores under the strength of the gusts now."""
+    return (scores, *scores.under_gusts)[scores.gusts]
+
+
+def jolt_shape(scores: Scores) -> Array:
+    """Whitened position after a jolt, from its instant on, shape (n,)."""
+    return scores.jolts[int(np.searchsorted(scores.time, scores.time[-1] - LASTS)) :, 0]
+
+
+def _shifts(scores: Scores, at: int) -> Array:
     """Sensitivities of the rows from `at` on to shifts that begin there, shape (N - at, P), or (N - at, P + 1)."""
     shifts = scores.tested[at:]
-    if not jolts.size:
+    if not scores.jolts.size:
         return shifts
-    shape = jolts[int(np.searchsorted(scores.time, scores.time[-1] - LASTS)) :, 0]
+    shape = jolt_shape(scores)
     push = np.zeros(len(shifts))
     push[: shape.size] = PUSH * shape[: push.size]
     return np.column_stack([shifts, push])
 
 
-def _products(scores: Scores, jolts: Array, at: int) -> Array:
+def _products(scores: Scores, at: int) -> Array:
     """Inner products of the innovations, of the columns of X and of those of Z, for a change at a row."""
-    shifts = _shifts(scores, jolts, at)
+    shifts = _shifts(scores, at)
     across = scores.rows[at:].T @ shifts
     return np.block([[scores.products, across], [across.T, shifts.T @ shifts]])
 
@@ -83,9 +93,9 @@ def _log_posterior(products: Array, known: int) -> tuple[Array, Array]:
     return np.asarray(-0.5 * squares - 0.5 * np.linalg.slogdet(normal)[1]), np.asarray(solution)
 
 
-def _mean_square(scores: Scores, jolts: Array, at: int, solution: Array) -> float:
+def _mean_square(scores: Scores, at: int, solution: Array) -> float:
     """Mean square of the residuals before or after a change, the larger; at least 1."""
     known = scores.rows.shape[1] - 1
     left = scores.innovation - scores.rows[:, 1:] @ solution[:known]
-    left[at:] -= _shifts(scores, jolts, at) @ solution[known:]
+    left[at:] -= _shifts(scores, at) @ solution[known:]
     return max(1.0, *(float(np.mean(part**2)) for part in np.split(left, [at]) if part.size > solution.size))
