@@ -177,12 +177,12 @@ def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have
     [
         (["LOG", "--tune", "gains.json"], "gains.json: gains are written as .toml"),
         (["--tune", "LOG"], "give such a name, or put --tune behind the LOG"),
-        (["LOG", "--after", "LOG"], "not a model file"),
+        (["LOG", "--after", "LOG"], "is a log, not a model"),
         (["none.csv"], "none.csv"),
         (["LOG", "--card", "no-such-card"], "no-such-card"),
         (["LOG", "--structure", "best"], "no such structure: 'best'; structures are "),
         (["LOG", "--false-alarms-per-hour", "0"], "--false-alarms-per-hour"),
-        (["LOG", "--report", "LOG"], "is no earlier result of this kind: not overwritten"),
+        (["LOG", "--report", "LOG"], "exists and is a log: not overwritten"),
         (["LOG", "-o", "nowhere/model.json"], "make it first"),
     ],
 )

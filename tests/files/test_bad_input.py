@@ -374,7 +374,7 @@ def test_what_is_no_model_is_refused(verb: str, content: str | None, message: st
 def test_a_log_in_the_place_of_the_model_is_refused(tmp_path: Path) -> None:
     log = csv(tmp_path, columns())
 
-    check_refused(run("validate", log, log), "not a model file")
+    check_refused(run("validate", log, log), "is a log, not a model")
     check_refused(run("compare", log, log), "no model among")
 
 

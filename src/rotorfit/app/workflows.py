@@ -39,8 +39,10 @@ from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.estimation.methods import BEST
 from rotorfit.files.cards import card_from_mapping, load_card
+from rotorfit.files.kinds import KINDS
 from rotorfit.files.log_span import LogSpan, parse_log
 from rotorfit.files.logs import read
+from rotorfit.files.mistaken import kind_of
 from rotorfit.files.models import is_model_file, load
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import fits, tables_of
@@ -419,7 +421,9 @@ def check_destination(path: Path, mark: bytes) -> None:
         LogError: The path is taken by something else, or its folder does not exist.
     """
     if path.is_dir() or (path.exists() and mark not in _head(path)):
-        raise LogError(f"{path}: exists and is no earlier result of this kind: not overwritten; choose another name")
+        found = kind_of(path)
+        told = KINDS[found].text if found else "no earlier result of this kind"
+        raise LogError(f"{path}: exists and is {told}: not overwritten; choose another name")
     if not path.parent.is_dir():
         raise LogError(f"{path}: there is no folder {path.parent}; make it first")
 

@@ -13,6 +13,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.plain import check_finite, is_number, plain_toml, shown, text_of
 from rotorfit.core.writing import write_whole
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.mistaken import mistaken
 from rotorfit.version import __version__
 
 FORMAT = "rotorfit-plan"
@@ -132,6 +133,8 @@ def load_plan(path: str | Path) -> Plan:
     Raises:
         PlanError: Missing, not TOML, of another version, with an unknown key, or with a value that cannot be flown.
     """
+    if told := mistaken(path, "plan"):
+        raise PlanError(told)
     try:
         text = text_of(Path(path))
     except OSError as error:
