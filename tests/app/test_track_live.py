@@ -44,6 +44,13 @@ def run(*words: str) -> Result:
         (("--link", "sim:tello", "--card", "tello"), "what a command of 1 on x reaches; leave --card out"),
         (("--link", "sim,mass=2"), "'mass=2' is not mass=2@SECOND"),
         (("--link", "sim,load=2"), "'load=2' is not one of wind=NUMBER"),
+        (
+            ("--link", "pigeon", "--record", "flight.csv"),
+            "flight.csv: a recording is an MCAP file; name it flight.mcap",
+        ),
+        (("--link", "pigeon", "--record", "/proc/flight.mcap"), "/proc/flight.mcap: cannot be written"),
+        (("--link", "pigeon", "--report", "track.pdf"), "track.pdf: a report is a page; name it track.html"),
+        (("--link", "pigeon", "--state", "/proc/state"), "/proc/state: cannot be written"),
         (("--link", "replay"), "replay needs a file: --link replay:flight.mcap"),
         (("--link", "sim", "--page", "abc"), "'abc' is not a valid port number"),
         (("--link", "sim,mass=0@2"), "'mass=0@2' is not WHAT=VALUE@SECOND"),

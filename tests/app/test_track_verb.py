@@ -184,6 +184,9 @@ def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have
         (["LOG", "--false-alarms-per-hour", "0"], "--false-alarms-per-hour"),
         (["LOG", "--report", "LOG"], "exists and is a log: not overwritten"),
         (["LOG", "-o", "nowhere/model.json"], "make it first"),
+        (["LOG", "-o", "/proc/model.json"], "/proc/model.json: cannot be written"),
+        (["LOG", "--report", "track.pdf"], "track.pdf: a report is a page; name it track.html"),
+        (["LOG", "--report", "/proc/track.html"], "/proc/track.html: cannot be written"),
     ],
 )
 def test_a_mistake_is_one_line_and_nothing_is_tracked(words: list[str], said: str, log: tuple[str, ...]) -> None:

@@ -109,7 +109,12 @@ def test_what_must_not_be_flown_is_refused_before_anything_is_written(tmp_path: 
 
 @pytest.mark.parametrize(
     ("output", "why"),
-    [("plan.toml", "exists, and a recording is never overwritten"), ("nowhere/flight.mcap", "there is no folder")],
+    [
+        ("plan.toml", "exists, and a recording is never overwritten"),
+        ("nowhere/flight.mcap", "there is no folder"),
+        ("flight.bag", "flight.bag: a recording is an MCAP file; name it flight.mcap"),
+        ("/proc/flight.mcap", "/proc/flight.mcap: cannot be written"),
+    ],
 )
 def test_a_place_that_cannot_be_written_is_told_before_the_link_is_opened(
     tmp_path: Path, output: str, why: str

@@ -115,7 +115,9 @@ def track(
     from rotorfit.app.live.serving import Views
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.tracking import track_view
-    from rotorfit.app.workflows import MODEL_MARK, REPORT_MARK, check_destination
+    from rotorfit.app.workflows import MODEL_MARK, check_destination, check_page
+    from rotorfit.core.writing import check_place
+    from rotorfit.flying.mission import check_new
     from rotorfit.tracking.earlier import earlier_of
 
     if (log is None) == (link is None):
@@ -127,7 +129,11 @@ def track(
     if output:
         check_destination(output, MODEL_MARK)
     if report:
-        check_destination(report, REPORT_MARK)
+        check_page(report)
+    if record:
+        check_new(record)
+    if memory:
+        check_place(memory)
     earlier = earlier_of(after) if after else None
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     lost = stopped = ""
@@ -239,14 +245,11 @@ def _listened(
     from rotorfit.flying.links.opening import open_listener
     from rotorfit.flying.links.sim import changes_missed
     from rotorfit.flying.listening import Listening
-    from rotorfit.flying.mission import check_new
     from rotorfit.flying.operator import operator_abort
     from rotorfit.tracking.earlier import limits_of_earlier
     from rotorfit.tracking.flight_so_far import UNRECORDED
     from rotorfit.tracking.tracker import Tracker
 
-    if record:
-        check_new(record)
     chosen = card_for_link(link, card)
 
     def say(text: str) -> None:
