@@ -51,6 +51,7 @@ def run(*words: str) -> Result:
         (("--link", "pigeon", "--record", "/proc/flight.mcap"), "/proc/flight.mcap: cannot be written"),
         (("--link", "pigeon", "--report", "track.pdf"), "track.pdf: a report is a page; name it track.html"),
         (("--link", "pigeon", "--state", "/proc/state"), "/proc/state: cannot be written"),
+        (("--link", "sim,seed=-3"), "'seed=-3' is not start=X/Y/Z/YAW"),
         (("--link", "replay"), "replay needs a file: --link replay:flight.mcap"),
         (("--link", "sim", "--page", "abc"), "'abc' is not a valid port number"),
         (("--link", "sim,mass=0@2"), "'mass=0@2' is not WHAT=VALUE@SECOND"),

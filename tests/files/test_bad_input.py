@@ -463,6 +463,12 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ["validate", "model.json", "flight.bag", "--horizons", "inf"],
         ["info", "a.bag", "b.bag", "--draft-card", "card.toml"],
         ["cards", "one", "two"],
+        ["plan", "--card", "bebop2", "--duration", "nan"],
+        ["plan", "--card", "bebop2", "--duration", "1e9"],
+        ["tune", "model.json", "--seed", "-5"],
+        ["fly", "plan.toml", "--link", "sim", "-o", "flight.mcap", "--seed", "-5"],
+        ["fit", "flight.bag", "--card", "--json"],
+        ["fit", "flight.bag", "-o", "--json"],
     ],
 )
 def test_wrong_usage_ends_with_2(arguments: list[str]) -> None:

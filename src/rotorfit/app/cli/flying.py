@@ -8,7 +8,9 @@ import click
 from rotorfit.app.cli.options import (
     AFTER,
     JSON,
+    SEED,
     TUNE,
+    Number,
     card_option,
     file_at,
     print_json,
@@ -47,13 +49,17 @@ if TYPE_CHECKING:
 @click.option("--separate", is_flag=True, help="Separate flights, as in the paper: x with y, z, yaw.")
 @click.option("--open-loop", is_flag=True, help="No feedback on any axis.")
 @click.option(
-    "--duration", type=float, default=60.0, metavar="S", help="Longest duration of a flight [s]; default: 60."
+    "--duration",
+    type=Number(0, 1800, 60),
+    default=60.0,
+    metavar="S",
+    help="Longest duration of a flight [s]; default: 60.",
 )
 @click.option(
     "--amplitude", type=float, metavar="A", help="Factor on the full amplitude; default: the largest that fits."
 )
 @click.option("--speed", type=float, metavar="V", help="Largest speed along x and y [m/s]; default: 1.5.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Random seed; default: 0.")
+@click.option("--seed", type=SEED, default=0, metavar="N", help="Random seed; default: 0.")
 @click.option(
     "-o", "output", type=file_at(), metavar="plan.toml", help="Write the plan; an edited one is not overwritten."
 )
@@ -110,7 +116,7 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 @card_option("the plan's own")
 @click.option("--land/--no-land", default=True, help="Land (default) or hover at the end, whatever ended the flight.")
 @click.option("--take-off", is_flag=True, help="Begin on the floor.")
-@click.option("--seed", type=int, default=0, help="Random seed of a simulated vehicle.")
+@click.option("--seed", type=SEED, default=0, help="Random seed of a simulated vehicle.")
 @click.option("--track", is_flag=True, help="Track the model meanwhile, in a separate process; alarms are recorded.")
 @AFTER
 @TUNE

@@ -96,11 +96,14 @@ def _scene(options: Sequence[str]) -> tuple[Four, int, bool]:
     scene = DEFAULTS | {key: text for key, _, text in (option.partition("=") for option in reversed(options))}
     try:
         x, y, z, yaw = (float(part) for part in scene["start"].split("/"))
-        return (x, y, z, yaw), int(scene["seed"]), {"yes": True, "no": False}[scene["flying"]]
+        seed, flying = int(scene["seed"]), {"yes": True, "no": False}[scene["flying"]]
+        if not all(map(math.isfinite, (x, y, z, yaw))) or seed < 0:
+            raise ValueError
     except (ValueError, KeyError):
         raise LinkError(
             f"--link sim: {', '.join(options)!r} is not start=X/Y/Z/YAW [m, rad], seed=NUMBER, flying=yes or no"
         ) from None
+    return (x, y, z, yaw), seed, flying
 
 
 class SimLink:
