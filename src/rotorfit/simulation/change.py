@@ -131,8 +131,8 @@ def changes_of(options: Sequence[str], address: str) -> tuple[Change, ...]:
                 raise ValueError
         except ValueError:
             raise LinkError(
-                f"{given} is no change: {key} is {known.text} from {known.low:g} to {known.high:g}, then @ and the second, "
-                f"as in {known.example}"
+                f"{given} is no change: {key} is {known.text} from {known.low:g} to {known.high:g}, "
+                f"then @ and the second, as in {known.example}"
             ) from None
         value: Any = tuple(numbers) if key == "rotors" else numbers[0]
         found.append(Change(time, **{key: value}))
