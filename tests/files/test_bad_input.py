@@ -355,6 +355,7 @@ def places(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]
         (None, "cannot be read"),
         ("", "not a model file"),
         ("{", "not a model file"),
+        ('{"format": "rotorfit-model", "ver', "a model file that is cut short or damaged"),
         ("[1, 2]", "not a rotorfit model"),
         ('{"format": "rotorfit-model", "version": 2}', "model version 2"),
         ('{"format": "rotorfit-model", "version": 1}', "damaged model file"),

@@ -68,6 +68,8 @@ def load(path: str | Path) -> Model:
             or f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
         ) from None
     except ValueError as error:
+        if is_model_file(path):
+            raise ModelError(f"{path}: a model file that is cut short or damaged ({error}); fit it again") from None
         raise ModelError(
             mistaken(path, "model")
             or f"{path}: not a model file, or a damaged one ({error}); `rotorfit fit -o` and `track -o` write them"

@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
     """Design a flight, and predict its path and the accuracy of a fit to it."""
     from rotorfit.files.plans import check_plan_destination, save_plan
-    from rotorfit.planning.preview import PICTURE_MARK, write_picture
+    from rotorfit.planning.preview import PICTURE_MARK, check_picture_name, write_picture
     from rotorfit.planning.request import Request, destinations, planned, plans_mapping
 
     request = Request(**asked)
@@ -80,6 +80,7 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 
         for path in pictures:
             check_destination(path, PICTURE_MARK)
+            check_picture_name(path)
     with progress_bar() as progress:
         plans, proposal = planned(request, progress)
     for one, path in zip(plans, files, strict=False):
