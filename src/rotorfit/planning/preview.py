@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rotorfit.core.flight_plan import Plan, command_at, reference_at
 from rotorfit.core.errors import PlanError
+from rotorfit.core.flight_plan import Plan, command_at, reference_at
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, NORMAL
 from rotorfit.core.writing import write_whole
