@@ -341,6 +341,23 @@ def test_the_complete_card_of_the_documents_loads_and_holds_every_key() -> None:
     assert keys == known_keys()
 
 
+def test_every_line_that_shows_a_unit_is_one_of_a_card() -> None:
+    lines = re.findall(r"^\| .+? \| `(\w+ = \{[^`]+)`", section(CARDS, "Units, by example"), re.MULTILINE)
+    assert len(lines) >= 8
+    for line in lines:
+        (value,) = tomllib.loads(line).values()
+        place = "limits" if "value" in value else "command" if "meaning" in value else "pose"
+        raw = {
+            "command": {"time": "t", "z": "up"},
+            "pose": {"time": "t", **{axis: f"pose_{axis}" for axis in AXES}},
+            **({"limits": {}} if place == "limits" else {}),
+        }
+        if value.get("unit") == "cm/s":
+            place, raw = "velocity", {**raw, "velocity": {}}
+        raw[place] |= tomllib.loads(line)
+        card_from_mapping(raw, line)
+
+
 def test_every_key_and_every_unit_of_a_card_is_explained() -> None:
     tables = section(CARDS, "Every key")
     explained = {name for cell in re.findall(r"`([^`]+)`", tables) for name in cell.split()}

@@ -42,11 +42,20 @@ def run(*words: str) -> Result:
         (("--link", "pigeon"), "no link 'pigeon'"),
         (("--link", "sim", "--card", "tello"), "the card given is not one of Parrot Bebop 2: a command on x"),
         (("--link", "sim:tello", "--card", "tello"), "what a command of 1 on x reaches; leave --card out"),
-        (("--link", "sim,mass=2"), "'mass=2' is not mass=2@SECOND"),
-        (("--link", "sim,load=2"), "'load=2' is not one of wind=NUMBER"),
+        (("--link", "sim,mass=2"), "'mass=2' is no change: mass is a factor from 0.1 to 10"),
+        (("--link", "sim,load=2"), "no option 'load'; options are wind, gusts, mass"),
+        (
+            ("--link", "pigeon", "--record", "flight.csv"),
+            "flight.csv: a recording is an MCAP file; name it flight.mcap",
+        ),
+        (("--link", "pigeon", "--record", "/proc/flight.mcap"), "/proc/flight.mcap: cannot be written"),
+        (("--link", "pigeon", "--report", "track.pdf"), "track.pdf: a report is a page; name it track.html"),
+        (("--link", "pigeon", "--state", "/proc/state"), "/proc/state: cannot be written"),
+        (("--link", "sim,mas=2@3"), "no option 'mas'; nearest: 'mass'; options are"),
+        (("--link", "sim,seed=-3"), "'seed=-3' is not start=X/Y/Z/YAW"),
         (("--link", "replay"), "replay needs a file: --link replay:flight.mcap"),
         (("--link", "sim", "--page", "abc"), "'abc' is not a valid port number"),
-        (("--link", "sim,mass=0@2"), "'mass=0@2' is not WHAT=VALUE@SECOND"),
+        (("--link", "sim,mass=0@2"), "'mass=0@2' is no change: mass is a factor from 0.1 to 10"),
     ],
 )
 def test_what_cannot_be_is_one_line(words: tuple[str, ...], said: str) -> None:

@@ -58,9 +58,12 @@ def test_axes_without_numbers_are_refused_in_a_line_and_all_of_them_is_an_error(
 
     assert set(tuning.axes) == {"x"}
     assert set(tuning.refused) == {"y", "z", "yaw"}
-    assert tuning.refused["y"] == "the model has no numbers (not_excited): fit a flight that moves it"
-    with pytest.raises(ModelError, match="no axis can be tuned: z: the model has no numbers"):
-        tune(model, axes=("z",))
+    assert (
+        tuning.refused["y"]
+        == "the model has no numbers (not_excited): fit a flight that moves it, as `rotorfit plan` designs one"
+    )
+    with pytest.raises(ModelError, match="no axis can be tuned: y and z: the model has no numbers"):
+        tune(model, axes=("y", "z"))
 
 
 def test_a_vehicle_that_is_hardly_known_gets_no_gains() -> None:

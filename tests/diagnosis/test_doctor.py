@@ -367,6 +367,7 @@ def test_centimetres_or_millimetres_read_as_metres(tmp_path: Path, factor: float
     words = log.write(tmp_path)
     found = said("info", *words)["unit_mistake", None]
     assert found["severity"] == "error"
+    assert f'write x = {{ from = "x", unit = "{unit}" }} in [pose] of the card' in found["remedy"]
     assert f'"{unit}" makes the travel {travel:.3g} m' in found["remedy"].replace('"mm" ', '"mm" makes the travel ')
     right = CARD
     for axis in "xyz":

@@ -263,8 +263,10 @@ def test_where_nothing_is_left_the_error_says_what_to_try(model: Model) -> None:
     for axis in AXES:
         hidden = untold(hidden, axis)
 
-    with pytest.raises(ExportError, match="fit a flight that moves an axis"):
+    with pytest.raises(ExportError, match="fit a flight that moves an axis, as `rotorfit plan` designs one") as told:
         export(nothing, "c")
+    assert "x, y, z and yaw: the model has no numbers for it (not_excited)" in str(told.value)
+    assert str(told.value).count("no numbers") == 1
     with pytest.raises(ExportError, match="--predictor exports the point that predicts best"):
         export(hidden, "c")
 

@@ -89,3 +89,15 @@ def test_errors_are_one_line_and_nothing_is_written_over(model_path: Path, tmp_p
 def test_a_gains_file_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"gone\.toml: No such file"):
         read_gains(tmp_path / "gone.toml")
+
+
+def test_a_gains_file_of_another_version_or_another_file_is_one_line(model_path: Path, tmp_path: Path) -> None:
+    gains, card = tmp_path / "gains.toml", tmp_path / "card.toml"
+    assert run("tune", model_path, "-o", gains)[0] == 0
+    gains.write_text(gains.read_text().replace("version = 1\n", "version = 8\n", 1))
+    card.write_text("[command]\nx = 'x'\n[pose]\n")
+
+    with pytest.raises(ModelError, match="gains version 8, this one reads 1; use the rotorfit that wrote it"):
+        read_gains(gains)
+    with pytest.raises(ModelError, match=r"card\.toml is a card, not a file of gains: `rotorfit fit LOG --card"):
+        read_gains(card)

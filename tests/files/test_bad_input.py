@@ -355,6 +355,7 @@ def places(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]
         (None, "cannot be read"),
         ("", "not a model file"),
         ("{", "not a model file"),
+        ('{"format": "rotorfit-model", "ver', "a model file that is cut short or damaged"),
         ("[1, 2]", "not a rotorfit model"),
         ('{"format": "rotorfit-model", "version": 2}', "model version 2"),
         ('{"format": "rotorfit-model", "version": 1}', "damaged model file"),
@@ -374,7 +375,7 @@ def test_what_is_no_model_is_refused(verb: str, content: str | None, message: st
 def test_a_log_in_the_place_of_the_model_is_refused(tmp_path: Path) -> None:
     log = csv(tmp_path, columns())
 
-    check_refused(run("validate", log, log), "not a model file")
+    check_refused(run("validate", log, log), "is a log, not a model")
     check_refused(run("compare", log, log), "no model among")
 
 
@@ -463,6 +464,12 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ["validate", "model.json", "flight.bag", "--horizons", "inf"],
         ["info", "a.bag", "b.bag", "--draft-card", "card.toml"],
         ["cards", "one", "two"],
+        ["plan", "--card", "bebop2", "--duration", "nan"],
+        ["plan", "--card", "bebop2", "--duration", "1e9"],
+        ["tune", "model.json", "--seed", "-5"],
+        ["fly", "plan.toml", "--link", "sim", "-o", "flight.mcap", "--seed", "-5"],
+        ["fit", "flight.bag", "--card", "--json"],
+        ["fit", "flight.bag", "-o", "--json"],
     ],
 )
 def test_wrong_usage_ends_with_2(arguments: list[str]) -> None:

@@ -103,7 +103,7 @@ def test_a_mistake_is_told_with_file_and_place(change: Callable[[dict[str, Any]]
 def test_a_file_that_is_missing_no_text_or_no_toml_is_told(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match=r"cannot be read"):
         load_plan(tmp_path / "none.toml")
-    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\x00\xfe")
     with pytest.raises(PlanError, match="not a text file"):
         load_plan(tmp_path / "bytes.toml")
     with pytest.raises(PlanError, match="not readable as TOML"):

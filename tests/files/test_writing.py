@@ -15,8 +15,9 @@ from click.testing import CliRunner
 import rotorfit as rf
 from models import VEHICLE, model_of
 from rotorfit.app.cli import main
+from rotorfit.core.errors import LogError
 from rotorfit.core.model import Model
-from rotorfit.core.writing import write_whole
+from rotorfit.core.writing import check_place, write_whole
 from rotorfit.exports import export
 from rotorfit.exports.gains import save_gains
 from rotorfit.files.models import load, save
@@ -63,6 +64,15 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "gains.yaml": lambda path: save_gains(rf.tune(model_of(), axes=("z",)), model_of(), path),
     "export.h": lambda path: export(model_of(), "c", path),
 }
+
+
+def test_a_place_that_takes_no_file_is_told_beforehand_and_nothing_is_left_there(tmp_path: Path) -> None:
+    check_place(tmp_path / "model.json")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(LogError, match="there is no folder"):
+        check_place(tmp_path / "none" / "model.json")
+    with pytest.raises(LogError, match="cannot be written"):
+        check_place(Path("/proc/model.json"))
 
 
 @pytest.mark.parametrize("fails", ["fsync", "replace"])

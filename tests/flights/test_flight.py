@@ -524,12 +524,23 @@ def test_what_is_no_flight_is_refused_in_one_line(cmd: dict, pose: dict, says: s
     assert says in str(error.value)
 
 
-@pytest.mark.parametrize("missing", ["cmd", "pose"])
-def test_a_log_without_the_commands_or_the_pose_names_the_nearest_table(missing: str) -> None:
-    log = log_of(commands(), poses(), other={"x": np.zeros(3)})
+@pytest.mark.parametrize(
+    ("missing", "there", "told"),
+    [
+        ("cmd", "other", ""),
+        ("pose", "other", ""),
+        ("cmd", "cmd2", "; nearest: 'cmd2'"),
+        ("pose", "poses", "; nearest: 'poses'"),
+    ],
+)
+def test_a_log_without_the_commands_or_the_pose_names_a_table_only_if_it_is_near(
+    missing: str, there: str, told: str
+) -> None:
+    log = log_of(commands(), poses(), **{there: {"x": np.zeros(3)}})
     log = replace(log, tables={name: table for name, table in log.tables.items() if name != missing})
 
-    assert f"no table '{missing}'; nearest:" in error_of(log)
+    assert f"no table '{missing}'{told}" in error_of(log)
+    assert bool(told) == ("nearest" in error_of(log))
 
 
 # Laws under damage

@@ -138,7 +138,7 @@ def test_what_the_tracker_could_not_use_is_refused_before_the_flight(tmp_path: P
     taken.write_text("what = 'something else'\n")
     for words, said in (
         (("--after", plan), "--after and --tune are for --track"),
-        (("--track", "--after", plan), "not a model file"),
+        (("--track", "--after", plan), "is a plan, not a model"),
         (("--track", "--tune", taken), "taken.toml"),
     ):
         result = rotorfit("fly", plan, "--link", "sim", "-o", tmp_path / "flight.mcap", *words)

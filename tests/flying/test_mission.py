@@ -109,7 +109,12 @@ def test_what_must_not_be_flown_is_refused_before_anything_is_written(tmp_path: 
 
 @pytest.mark.parametrize(
     ("output", "why"),
-    [("plan.toml", "exists, and a recording is never overwritten"), ("nowhere/flight.mcap", "there is no folder")],
+    [
+        ("plan.toml", "exists, and a recording is never overwritten"),
+        ("nowhere/flight.mcap", "there is no folder"),
+        ("flight.bag", "flight.bag: a recording is an MCAP file; name it flight.mcap"),
+        ("/proc/flight.mcap", "/proc/flight.mcap: cannot be written"),
+    ],
 )
 def test_a_place_that_cannot_be_written_is_told_before_the_link_is_opened(
     tmp_path: Path, output: str, why: str
@@ -234,7 +239,7 @@ def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("address", "why"),
     [
-        ("bebop2,wnd=1", "'wnd=1' is not one of wind=NUMBER, gusts=NUMBER, in m/s"),
+        ("bebop2,wnd=1", "no option 'wnd'; nearest: 'wind'; options are wind, gusts"),
         ("bebop2,wind", "'wind' is not one of"),
         ("bebop2,gusts=strong", "'gusts=strong' is not one of"),
         ("bebop2,gusts=-1", "not negative"),

@@ -213,6 +213,9 @@ def test_a_plan_for_a_card_is_shown_written_drawn_and_read_again(tmp_path: Path)
     assert tomllib.loads(file.read_text())["card"]["name"] == "rotorfit demo quadrotor"
     assert picture.read_bytes()[:4] == b"\x89PNG"
     planned(*asked)  # over its own earlier results
+    named = run("plan", *asked[:-1], tmp_path / "plan.pdf")
+    assert (named.exit_code, named.stdout) == (1, "")
+    assert "plan.pdf: a picture is a PNG; name it plan.png" in named.stderr
     file.write_text(file.read_text().replace("rate = 50.0", "rate = 40.0"))
     refused = run("plan", *asked)
     assert (refused.exit_code, refused.stdout) == (1, "")

@@ -11,7 +11,7 @@ from rotorfit.core.frames import yaw_from_quaternion
 from rotorfit.core.limits import GRAVITY
 from rotorfit.simulation import rigid_body
 from rotorfit.simulation.air import Gusts, Rise, Wind
-from rotorfit.simulation.change import Change, changed, changes_of
+from rotorfit.simulation.change import GIVEN, Change, changed, changes_of
 from rotorfit.simulation.flight_room import Conditions, FlightRoom, RoomFlight, fly_commands
 from rotorfit.simulation.sensors import Mocap, Turn
 from rotorfit.simulation.vehicle import Radio, Vehicle, load_vehicle
@@ -279,9 +279,32 @@ def test_an_address_says_what_changes_and_when() -> None:
 
 
 @pytest.mark.parametrize(
-    "option",
-    ["mass=1.3@", "mass=@4", "mass=-1@4", "mass=nan@4", "mass=1/2@4", "rotors=0.9@4", "paint=2@4", "mass=2@-1"],
+    ("option", "said"),
+    [
+        *(
+            (f"mass={text}", "mass is a factor from 0.1 to 10, then @ and the second, as in mass=1.3@40")
+            for text in ("1.3", "1.3@", "@4", "0@4", "-1@4", "nan@4", "1/2@4", "2@-1", "2@inf")
+        ),
+        ("rotors=0.9@4", "rotors is four factors from 0.01 to 2, then @ and the second, as in rotors=0.9/1/1/1@40"),
+        ("rotors=0.9/1/1/-1@4", "rotors is four factors from 0.01 to 2"),
+        ("tilt=9@4", "tilt is a limit in rad from 0.01 to 1.5"),
+        ("latency=-0.1@4", "latency is a time in s from 0 to 5"),
+        ("vertical_sped=1@4", "nothing called 'vertical_sped' can change; nearest: 'vertical_speed'; mass, rotors"),
+        ("zzz=2@4", "nothing called 'zzz' can change; mass, rotors"),
+    ],
 )
-def test_a_change_that_cannot_be_is_one_line(option: str) -> None:
-    with pytest.raises(LinkError, match=r"is not WHAT=VALUE@SECOND; what can change: mass, rotors"):
+def test_a_change_that_cannot_be_is_one_line_with_range_and_example(option: str, said: str) -> None:
+    with pytest.raises(LinkError) as refused:
         changes_of([option], "bebop2")
+
+    assert said in str(refused.value)
+    assert repr(option) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", GIVEN)
+def test_the_example_of_every_change_is_one(name: str) -> None:
+    (found,) = changes_of([GIVEN[name].example], "")
+
+    assert found.time == 40.0
+    assert getattr(found, name) != getattr(Change(40.0), name)

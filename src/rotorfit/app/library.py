@@ -325,7 +325,7 @@ def report(
 
     Raises:
         TypeError: `flights` are neither paths nor flights, or `models` are not models.
-        LogError: The path is taken by something else, or a log cannot be read.
+        LogError: The path is taken by something else or has another suffix than .html, or a log cannot be read.
         CardError, FlightError, ModelError: As in `validate`.
         RotorfitError: Figures are requested for several models.
     """
@@ -337,7 +337,7 @@ def report(
     names, known = as_models([models] if isinstance(models, Model | Fit | str | PathLike) else models)
     if figures is not None and len(known) > 1:
         raise RotorfitError("figures are drawn of one model: give one, or leave them out")
-    workflows.check_destination(page, workflows.REPORT_MARK)
+    workflows.check_page(page)
     cases, left_out = workflows.cases_of_models(names, known, as_logs(flights), as_card(card), progress)
     for note in left_out:
         warnings.warn(note, stacklevel=2)

@@ -33,14 +33,17 @@ from rotorfit.core.model import Model, with_findings
 from rotorfit.core.plain import line_of
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
+from rotorfit.core.writing import check_place
 from rotorfit.diagnosis.card_choice import another_card, card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.estimation.methods import BEST
 from rotorfit.files.cards import card_from_mapping, load_card
+from rotorfit.files.kinds import KINDS
 from rotorfit.files.log_span import LogSpan, parse_log
 from rotorfit.files.logs import read
+from rotorfit.files.mistaken import kind_of
 from rotorfit.files.models import is_model_file, load
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import fits, tables_of
@@ -416,12 +419,24 @@ def check_destination(path: Path, mark: bytes) -> None:
         mark: Text in the first 4096 bytes of an earlier result, in lower case.
 
     Raises:
-        LogError: The path is taken by something else, or its folder does not exist.
+        LogError: The path is taken by something else, or its folder is missing or takes no file.
     """
     if path.is_dir() or (path.exists() and mark not in _head(path)):
-        raise LogError(f"{path}: exists and is no earlier result of this kind: not overwritten; choose another name")
-    if not path.parent.is_dir():
-        raise LogError(f"{path}: there is no folder {path.parent}; make it first")
+        found = kind_of(path)
+        told = KINDS[found].text if found else "no earlier result of this kind"
+        raise LogError(f"{path}: exists and is {told}: not overwritten; choose another name")
+    check_place(path)
+
+
+def check_page(path: Path) -> None:
+    """As `check_destination`, for a page, whose name must say so: a browser and a user go by it.
+
+    Raises:
+        LogError: Likewise, or the name has another suffix.
+    """
+    check_destination(path, REPORT_MARK)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise LogError(f"{path}: a report is a page; name it {path.stem or 'report'}.html")
 
 
 def _head(path: Path) -> bytes:

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 
+from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import given_by_law
 from rotorfit.core.model import COEFFICIENTS, FROZEN, Axis, Combination, Model
+from rotorfit.core.plain import listed
 from rotorfit.estimation.identifiability import WIDEST_INPUT
 from rotorfit.estimation.methods import label_of
 
@@ -40,12 +42,14 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     partly = [axis for axis in wanted if axis not in whole and model.axes[axis].predictor]
     sentences = [f"Fitted to {flights} by {label_of(model.method)}{BELIEVED * bool(model.prior)}."]
     if whole:
-        sentences.append(f"Known: {_listed([_NAMES[name] for name in coefficients])} of {_listed(whole)}.")
+        sentences.append(f"Known: {listed([_NAMES[name] for name in coefficients])} of {listed(whole)}.")
     sentences += [_partly_known(axis, model.axes[axis]) for axis in partly]
     unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
     groups = {why: [axis for axis, status in unknown.items() if status == why] for why in _REASONS}
-    if reasons := [_REASONS[why].format(_listed(group, "or")) for why, group in groups.items() if group]:
+    if reasons := [_REASONS[why].format(listed(group, "or")) for why, group in groups.items() if group]:
         sentences.append(f"No numbers: {'; '.join(reasons)}.")
+    if set(unknown.values()) == {"not_excited"} and len(unknown) == len(wanted):
+        sentences.append("Fly one that does: `rotorfit plan` designs it.")
     return " ".join([*sentences, *_warnings(model, wanted)])
 
 
@@ -55,19 +59,19 @@ def _partly_known(axis: str, known: Axis) -> str:
     good = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "ok" and name not in given]
     lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] not in ("ok", "refuted")]
     refuted = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "refuted"]
-    head = f"Known of {axis}: {_listed(good)}; " if good else f"Of {axis}, "
+    head = f"Known of {axis}: {listed(good)}; " if good else f"Of {axis}, "
     if refuted:
-        head += f"{_listed(refuted)} {'is' if len(refuted) == 1 else 'are'} refuted: the flights deny the law"
+        head += f"{listed(refuted)} {'is' if len(refuted) == 1 else 'are'} refuted: the flights deny the law"
         if not lost:
             return f"{head}."
         head += "; "
     elif not lost:
-        return f"{head}its law has no {_listed([_NAMES[name] for name in given])}."
+        return f"{head}its law has no {listed([_NAMES[name] for name in given])}."
     combined = [
         f"{name.replace('_', ' ')} {_range(part)}" for name, part in known.combinations.items() if _told(name, part)
     ]
-    instead = f", but {_listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
-    return f"{head}{_listed(lost)} cannot be identified from these data{instead}."
+    instead = f", but {listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
+    return f"{head}{listed(lost)} cannot be identified from these data{instead}."
 
 
 def _told(name: str, part: Combination) -> bool:
@@ -86,15 +90,10 @@ def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
     concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
     errors = {finding.axis for finding in concerned if finding.severity == "error"}
     spoiled = [axis for axis in wanted if axis in errors or (None in errors and model.axes[axis].predictor)]
-    warnings = sum(finding.severity == "warning" for finding in concerned)
+    warnings = sum(finding.severity == "warning" for finding in told_together(concerned))
     if spoiled:
-        yield f"Do not use {_listed(spoiled)} before you have read the findings."
+        yield f"Do not use {listed(spoiled)} before you have read the findings."
     if warnings:
         yield "One finding is a warning." if warnings == 1 else f"{warnings} findings are warnings."
     if any(model.axes[axis].predictor for axis in wanted):
         yield "Validate it on a flight that was not fitted."
-
-
-def _listed(names: Sequence[str], last: str = "and") -> str:
-    """`x`, `x and y`, `x, y and z`."""
-    return f" {last} ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

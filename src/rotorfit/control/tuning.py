@@ -29,6 +29,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY
 from rotorfit.core.model import COEFFICIENTS, MEND, Model, first_order, unknown_why
+from rotorfit.core.plain import by_reason
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale
@@ -156,7 +157,7 @@ def tune(
         else:
             tuned[axis] = found
     if not tuned:
-        raise ModelError("no axis can be tuned: " + "; ".join(f"{axis}: {why}" for axis, why in refused.items()))
+        raise ModelError(f"no axis can be tuned: {by_reason(refused)}")
     return Tuning(kind, rate, latency, tuned, refused)
 
 

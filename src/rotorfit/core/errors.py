@@ -57,8 +57,12 @@ class LinkOverError(LinkError):
     """A replayed flight has ended: no more data will come, and nothing is wrong."""
 
 
+NEAR = 0.5
+"""Least similarity at which one name is offered for another; below, they have little more than a letter in common."""
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
-    """`; nearest: 'this'`, to end an error message; empty where no name is known."""
+    """`; nearest: 'this'`, to end an error message; empty where no known name is like it."""
     by_lower = {option.lower(): option for option in known}
-    match = get_close_matches(name.lower(), by_lower, n=1, cutoff=0.0)
+    match = get_close_matches(name.lower(), by_lower, n=1, cutoff=NEAR)
     return f"; nearest: {by_lower[match[0]]!r}" if match else ""

@@ -1,9 +1,12 @@
 """Finding: one fact that the user should know about a flight or a fit, with its evidence."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 from typing import Literal
+
+from rotorfit.core.plain import listed
 
 Severity = Literal["info", "warning", "error"]
 
@@ -35,6 +38,26 @@ class Finding:
         where = f" ({self.axis})" if self.axis else ""
         said = f"{self.evidence}; {self.effect}; {self.remedy}"
         return f"<b>{self.severity}</b> <code>{escape(self.code)}</code>{where}: {escape(said)}"
+
+
+def told_together(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Findings to be shown: those that say the same of several axes are one, which names all of them."""
+    groups: dict[tuple[object, ...], list[Finding]] = {}
+    for number, finding in enumerate(findings):
+        words = (finding.evidence, finding.effect, finding.remedy)
+        alike = [re.sub(rf"\b{finding.axis}\b", "\0", text) for text in words] if finding.axis else []
+        own = () if alike and "\0" in alike[0] else (number,)  # it does not name its axis: nothing to add others to
+        groups.setdefault((finding.code, finding.severity, *alike, *own), []).append(finding)
+    return tuple(_of_all(group) if len(group) > 1 else group[0] for group in groups.values())
+
+
+def _of_all(group: Sequence[Finding]) -> Finding:
+    """One finding for several that differ in their axis only."""
+    first, axes = group[0], listed([str(finding.axis) for finding in group])
+    evidence, effect, remedy = (
+        re.sub(rf"\b{first.axis}\b", axes, text) for text in (first.evidence, first.effect, first.remedy)
+    )
+    return replace(first, evidence=evidence, effect=effect, remedy=remedy, axis=None)
 
 
 def by_gravity(findings: Iterable[Finding]) -> tuple[Finding, ...]:

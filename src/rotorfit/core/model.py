@@ -46,6 +46,9 @@ FROZEN = "pose_frozen"
 MEND = "the pose stood still under commands: first do what the finding pose_frozen says"
 """What to do about an axis that suffers from a frozen pose: more flights alone would not help."""
 
+PLANNED = ", as `rotorfit plan` designs one"
+"""Where to get the flight that a message asks for."""
+
 Interval = tuple[float | None, float | None]
 
 NORMAL = 1.959963984540054
@@ -488,7 +491,7 @@ def predictor_of(model: Model, axis: str) -> Predictor:
 def unknown_why(model: Model, axis: str) -> str:
     """Status of an axis without numbers, and what to do."""
     status = model.axes[axis].status["input"]
-    return f"{status}): {MEND if status == FROZEN else 'fit a flight that moves it'}"
+    return f"{status}): {MEND if status == FROZEN else f'fit a flight that moves it{PLANNED}'}"
 
 
 def first_order(model: Model, axis: str) -> Weighed:

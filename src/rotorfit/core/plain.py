@@ -9,6 +9,7 @@ import math
 import re
 import sys
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -165,6 +166,19 @@ def shown(value: Any) -> str:
     if isinstance(value, int) and value not in _INTEGERS:
         return _TOO_LARGE
     return line_of(repr(value), 80)
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """Names as in a sentence: `x`, `x and y`, `x, y and z`."""
+    return f" {last} ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def by_reason(reasons: Mapping[str, str]) -> str:
+    """What holds for each name, once for all names for which it is the same: `x and y: no command; z: too short`."""
+    names_of: dict[str, list[str]] = {}
+    for name, why in reasons.items():
+        names_of.setdefault(why, []).append(name)
+    return "; ".join(f"{listed(names)}: {why}" for why, names in names_of.items())
 
 
 def place_of(keys: tuple[str | int, ...]) -> str:

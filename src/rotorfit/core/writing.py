@@ -5,7 +5,9 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import NamedTemporaryFile, TemporaryFile
+
+from rotorfit.core.errors import LogError
 
 
 def write_whole(path: str | Path, content: str | bytes, keep: bool = True) -> Path | None:
@@ -31,6 +33,24 @@ def write_whole(path: str | Path, content: str | bytes, keep: bool = True) -> Pa
         return _replaced(place, Path(path), data, keep)
     except OSError as error:
         raise type(error)(error.errno, error.strerror, str(path)) from None
+
+
+def check_place(path: Path) -> None:
+    """Refuses a path at which no file can be made, before the work for it begins; nothing is left there.
+
+    Raises:
+        LogError: Its folder is missing, or takes no file.
+    """
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise LogError(f"{path}: there is no folder {path.parent}; make it first")
+    try:
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise LogError(
+            f"{path}: cannot be written ({error.strerror}); check the folder and its permissions, or name another place"
+        ) from None
 
 
 def _replaced(place: Path, named: Path, data: bytes, keep: bool) -> Path | None:

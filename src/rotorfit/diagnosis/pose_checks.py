@@ -223,6 +223,12 @@ def _unit_of_yaw(motion: Motion) -> Iterator[Finding]:
         )
 
 
+def _line_with_unit(flight: Flight, unit: tuple[str, float] | None) -> str:
+    """The line of x in a card, with a unit for it."""
+    source = flight.card.pose["x"].source if "x" in flight.card.pose else "..."
+    return f'x = {{ from = "{source}", unit = "{unit[0] if unit else "cm"}" }}'
+
+
 def _unit_of_position(flight: Flight, motion: Motion) -> Iterator[Finding]:
     if not len(motion.time):
         return
@@ -236,8 +242,8 @@ def _unit_of_position(flight: Flight, motion: Motion) -> Iterator[Finding]:
             "error",
             f"{told}; no multirotor keeps more than {FASTEST:g} m/s or {HARDEST:g} m/s^2",
             "input gains of x, y and z are too large by the ratio of the units; damping and delay keep their values",
-            f'give x, y and z of [pose] in the card their unit: "cm" makes the travel {travel / 100:.3g} m, "mm" '
-            f"{travel / 1000:.3g} m; check that of time, too",
+            f"write {_line_with_unit(flight, position_unit(motion))} in [pose] of the card, and y and z likewise: "
+            f'"cm" makes the travel {travel / 100:.3g} m, "mm" {travel / 1000:.3g} m; check the unit of time, too',
         )
     elif commanded and 0 < travel < SMALLEST:
         yield Finding(

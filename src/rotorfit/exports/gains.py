@@ -12,7 +12,9 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import CommandMeaning, command_of
 from rotorfit.core.model import Model
+from rotorfit.core.plain import shown
 from rotorfit.core.writing import write_whole
+from rotorfit.files.mistaken import mistaken
 from rotorfit.version import __version__
 
 FORMAT = "rotorfit-gains"
@@ -183,13 +185,18 @@ def read_gains(path: str | Path) -> dict[str, Any]:
     check_gains_name(path)
     try:
         mapping = _parsed(path)
+        if (version := mapping.get("version", VERSION)) != VERSION:
+            raise ModelError(
+                f"{path}: gains version {shown(version)}, this one reads {VERSION}; use the rotorfit that wrote it"
+            )
         for axis, one in mapping["axes"].items():
             law_of(mapping, axis)
             float(one["bandwidth"])
     except OSError as error:
         raise ModelError(f"{path}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
-        raise ModelError(f"{path}: is no gains file of `rotorfit tune` ({type(error).__name__})") from None
+        told = f"{path}: is no gains file of `rotorfit tune` ({type(error).__name__})"
+        raise ModelError(mistaken(path, "gains") or told) from None
     return mapping
 
 

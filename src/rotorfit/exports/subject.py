@@ -1,14 +1,14 @@
 """Subject: the input of an export. The model with the exported axes only, and the meaning of each command."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rotorfit.core.errors import ExportError
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import Structure, structure_named
 from rotorfit.core.limits import COMMAND_UNITS, CommandMeaning, command_of, meaning_of
-from rotorfit.core.model import Axis, Model, Predictor
+from rotorfit.core.model import FROZEN, MEND, PLANNED, Axis, Model, Predictor
+from rotorfit.core.plain import by_reason, listed
 from rotorfit.dynamics.other_limits import scaled
 
 SUBSTEP = 0.1
@@ -147,33 +147,37 @@ def unknown_of(axis: Axis) -> list[str]:
 
 def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
     """The model without the axes that are left out, and a sentence on each of those."""
-    axes, notes, hidden = dict(model.axes), [], False
+    axes, notes, missing = dict(model.axes), [], dict[str, str]()
     for name, axis in model.axes.items():
         unknown = unknown_of(axis)
         if axis.predictor is None:
-            notes.append(f"{name} is left out and keeps its velocity: the model has no numbers for it ({unknown[0]}).")
+            missing[name] = f"the model has no numbers for it ({axis.status['input']})"
         elif unknown and predictor:
             notes.append(
                 f"{name} is exported by the point that predicts best, as was asked: the data cannot tell "
                 f"{listed(unknown)}, so single coefficients may be far off."
             )
         elif unknown:
-            hidden = True
             axes[name] = replace(axis, predictor=None)
-            notes.append(f"{name} is left out and keeps its velocity: the data cannot tell {listed(unknown)}.")
+            missing[name] = f"the data cannot tell {listed(unknown)}"
+        if name in missing:
+            notes.append(f"{name} is left out and keeps its velocity: {missing[name]}.")
     for one, other in (("x", "y"), ("y", "x")):
         if axes[one].predictor and not axes[other].predictor and structure_named(axes[one].structure).kicks >= 2:
             axes[one] = replace(axes[one], predictor=None)
-            notes.append(f"{one} is left out, too: its law is coupled with that of {other}.")
+            missing[one] = f"its law is coupled with that of {other}"
+            notes.append(f"{one} is left out, too: {missing[one]}.")
     if not any(axis.predictor for axis in axes.values()):
-        remedy = "--predictor exports the point that predicts best" if hidden else "fit a flight that moves an axis"
-        raise ExportError(f"nothing to export: {' '.join(notes)} {remedy}")
+        raise ExportError(f"nothing to export: {by_reason(missing)}; {_remedy(model)}")
     return replace(model, axes=axes), notes
 
 
-def listed(names: Sequence[str]) -> str:
-    """Names as in a sentence: `x`, `x and y`, `x, y and z`."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+def _remedy(model: Model) -> str:
+    """What to do where no axis can be exported."""
+    if any(axis.predictor for axis in model.axes.values()):
+        return "--predictor exports the point that predicts best"
+    frozen = any(axis.status["input"] == FROZEN for axis in model.axes.values())
+    return MEND if frozen else f"fit a flight that moves an axis{PLANNED}"
 
 
 def _physical(model: Model) -> tuple[Model, list[str]]:

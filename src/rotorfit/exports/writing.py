@@ -13,10 +13,11 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import FIRST_ORDER_DELAY
 from rotorfit.core.limits import CommandMeaning
 from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.plain import listed
 from rotorfit.dynamics.trajectory import state_space
 from rotorfit.exports.equations import SPEEDS, Equation, constants, equations, number
 from rotorfit.exports.formats import NUMPY, Format, Language
-from rotorfit.exports.subject import Subject, listed
+from rotorfit.exports.subject import Subject
 
 if TYPE_CHECKING:
     from jinja2 import Environment

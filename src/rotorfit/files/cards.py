@@ -23,6 +23,7 @@ from rotorfit.core.card import (
 from rotorfit.core.errors import CardError, nearest
 from rotorfit.core.frames import AXES, UNIT_SCALE
 from rotorfit.core.plain import is_file, is_number, line_of, plain_toml, shown, text_of
+from rotorfit.files.mistaken import mistaken
 
 Choice = TypeVar("Choice", bound=str | bool)
 
@@ -70,6 +71,8 @@ def load_card(name_or_path: str | Path) -> Card:
             f"{'' if path.suffix else nearest(name_or_path, built_in)} "
             "(`rotorfit cards` lists them)"
         )
+    if told := mistaken(path, "card"):
+        raise CardError(told)
     try:
         raw = plain_toml(text_of(path))
     except (OSError, ValueError) as err:

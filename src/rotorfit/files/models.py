@@ -20,6 +20,7 @@ from rotorfit.core.plain import place_of, plain_json, shown, text_of
 from rotorfit.core.results import FlightScores, LeftOut, PairedTest
 from rotorfit.core.writing import write_whole
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.mistaken import mistaken
 from rotorfit.files.schema import structured
 
 FORMAT = "rotorfit-model"
@@ -63,11 +64,15 @@ def load(path: str | Path) -> Model:
         raw = plain_json(text_of(Path(path)))
     except OSError as error:
         raise ModelError(
-            f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
+            mistaken(path, "model")
+            or f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
         ) from None
     except ValueError as error:
+        if is_model_file(path):
+            raise ModelError(f"{path}: a model file that is cut short or damaged ({error}); fit it again") from None
         raise ModelError(
-            f"{path}: not a model file, or a damaged one ({error}); `rotorfit fit -o` and `track -o` write them"
+            mistaken(path, "model")
+            or f"{path}: not a model file, or a damaged one ({error}); `rotorfit fit -o` and `track -o` write them"
         ) from None
     return from_mapping(raw, str(path))
 

@@ -11,8 +11,9 @@ from rotorfit.core.errors import CardError, PlanError, nearest
 from rotorfit.core.flight_plan import AxisExcitation, Chirp, Feedback, Four, Plan, Signal, Sines, Space, Steps
 from rotorfit.core.frames import AXES
 from rotorfit.core.plain import check_finite, is_number, plain_toml, shown, text_of
-from rotorfit.core.writing import write_whole
+from rotorfit.core.writing import check_place, write_whole
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.mistaken import mistaken
 from rotorfit.version import __version__
 
 FORMAT = "rotorfit-plan"
@@ -96,14 +97,14 @@ def check_plan_destination(path: Path) -> None:
     """Refuses to overwrite anything but an unedited plan, because plans are made to be edited.
 
     Raises:
-        PlanError: The path holds something else, such as an edited plan, or its folder does not exist.
+        PlanError: The path holds something else, such as an edited plan.
+        LogError: Its folder is missing or takes no file.
     """
     if path.exists() and not _as_written(path):
         raise PlanError(
             f"{path}: exists, and is not as `rotorfit plan` wrote it: not overwritten; choose another name or remove it"
         )
-    if not path.parent.is_dir():
-        raise PlanError(f"{path}: there is no folder {path.parent}; make it first")
+    check_place(path)
 
 
 def _as_written(path: Path) -> bool:
@@ -132,6 +133,8 @@ def load_plan(path: str | Path) -> Plan:
     Raises:
         PlanError: Missing, not TOML, of another version, with an unknown key, or with a value that cannot be flown.
     """
+    if told := mistaken(path, "plan"):
+        raise PlanError(told)
     try:
         text = text_of(Path(path))
     except OSError as error:

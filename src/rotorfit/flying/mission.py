@@ -9,6 +9,7 @@ from typing import Any
 from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError, LogError
 from rotorfit.core.flight_plan import Flown, Plan
+from rotorfit.core.writing import check_place
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.plans import load_plan, plan_text
 from rotorfit.flying.beside import Beside
@@ -60,7 +61,7 @@ def mission(
     Raises:
         PlanError, CardError: The plan or the card cannot be used.
         LinkError: The link cannot be opened.
-        LogError: The file of the recording exists already, or its folder does not.
+        LogError: The file of the recording exists already or has another suffix, or cannot be written.
     """
     named = plan.name if isinstance(plan, Plan) else plan
     plan = plan if isinstance(plan, Plan) else load_plan(plan)
@@ -113,12 +114,13 @@ def check_new(output: Path) -> None:
     """Refuses a path that the recorder would refuse, before anything flies.
 
     Raises:
-        LogError: The file exists, or its folder does not.
+        LogError: The file exists or has another suffix, or its folder is missing or takes no file.
     """
     if output.exists():
         raise LogError(f"{output}: exists, and a recording is never overwritten; choose another name")
-    if not output.parent.is_dir():
-        raise LogError(f"{output}: there is no folder {output.parent}; make it first")
+    if output.suffix.lower() != ".mcap":
+        raise LogError(f"{output}: a recording is an MCAP file; name it {output.stem or 'flight'}.mcap")
+    check_place(output)
 
 
 def flown_mapping(flown: Flown, ready: Ready, live: bool) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Plan, command_at, reference_at
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, NORMAL
@@ -60,6 +61,16 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False, "grid.color": "#e4e4e4", "grid.linewidth": 0.4, "xtick.labelsize": 7,
     "ytick.labelsize": 7, "legend.fontsize": 7, "legend.frameon": False, "lines.linewidth": 1.0, "savefig.dpi": 160,
 }  # fmt: skip
+
+
+def check_picture_name(path: Path) -> None:
+    """Refuses a name that is not one of a PNG.
+
+    Raises:
+        PlanError: The name has another suffix.
+    """
+    if path.suffix.lower() != ".png":
+        raise PlanError(f"{path}: a picture is a PNG; name it {path.stem or 'plan'}.png")
 
 
 def write_picture(plan: Plan, path: Path) -> None:

@@ -5,15 +5,43 @@ mocap (`sensors.Mocap`), rising wind to the air (`air.Wind`).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rotorfit.core.errors import LinkError
+from rotorfit.core.errors import LinkError, nearest
 from rotorfit.simulation.vehicle import Four, Radio, Vehicle
 
-GIVEN = {"mass": 1, "rotors": 4, "latency": 1, "tilt": 1, "speed": 1, "vertical_speed": 1, "yaw_rate": 1}
-"""What an address can change, with the number of values; names of `Change`."""
+
+@dataclass(frozen=True)
+class Given:
+    """What an address can give of a change.
+
+    Attributes:
+        text: What the numbers are, with their unit.
+        low: Least number that a flying vehicle can have.
+        high: Largest number likewise.
+        example: How it is written.
+        count: How many numbers.
+    """
+
+    text: str
+    low: float
+    high: float
+    example: str
+    count: int = 1
+
+
+GIVEN: Mapping[str, Given] = {
+    "mass": Given("a factor", 0.1, 10, "mass=1.3@40"),
+    "rotors": Given("four factors", 0.01, 2, "rotors=0.9/1/1/1@40", 4),
+    "latency": Given("a time in s", 0, 5, "latency=0.1@40"),
+    "tilt": Given("a limit in rad", 0.01, 1.5, "tilt=0.2@40"),
+    "speed": Given("a limit in m/s", 0.1, 50, "speed=3@40"),
+    "vertical_speed": Given("a limit in m/s", 0.1, 50, "vertical_speed=0.5@40"),
+    "yaw_rate": Given("a limit in rad/s", 0.01, 20, "yaw_rate=1@40"),
+}
+"""What an address can change, by the names of `Change`."""
 
 
 @dataclass(frozen=True)
@@ -92,16 +120,20 @@ def changes_of(options: Sequence[str], address: str) -> tuple[Change, ...]:
     for option in options:
         key, _, rest = option.partition("=")
         text, _, when = rest.partition("@")
+        given = f"--link sim{'' if address.startswith(',') else ':'}{address}: {option!r}"
+        if key not in GIVEN:
+            raise LinkError(f"{given}: nothing called {key!r} can change{nearest(key, GIVEN)}; {', '.join(GIVEN)} can")
+        known = GIVEN[key]
         try:
             numbers, time = [float(part) for part in text.split("/")], float(when)
-            if len(numbers) != GIVEN.get(key) or not all(map(math.isfinite, (*numbers, time))):
+            sound = all(known.low <= number <= known.high for number in numbers) and 0 <= time < math.inf
+            if not sound or len(numbers) != known.count:
                 raise ValueError
-            value: Any = tuple(numbers) if key == "rotors" else numbers[0]
-            found.append(Change(time, **{key: value}))
         except ValueError:
-            wanted = "WHAT=VALUE@SECOND" if "@" in option else f"{option}@SECOND"
             raise LinkError(
-                f"--link sim{'' if address.startswith(',') else ':'}{address}: {option!r} is not {wanted}; "
-                f"what can change: {', '.join(GIVEN)}, factors and limits above 0"
+                f"{given} is no change: {key} is {known.text} from {known.low:g} to {known.high:g}, "
+                f"then @ and the second, as in {known.example}"
             ) from None
+        value: Any = tuple(numbers) if key == "rotors" else numbers[0]
+        found.append(Change(time, **{key: value}))
     return tuple(found)

@@ -8,7 +8,9 @@ import click
 from rotorfit.app.cli.options import (
     AFTER,
     JSON,
+    SEED,
     TUNE,
+    Number,
     card_option,
     file_at,
     print_json,
@@ -47,13 +49,17 @@ if TYPE_CHECKING:
 @click.option("--separate", is_flag=True, help="Separate flights, as in the paper: x with y, z, yaw.")
 @click.option("--open-loop", is_flag=True, help="No feedback on any axis.")
 @click.option(
-    "--duration", type=float, default=60.0, metavar="S", help="Longest duration of a flight [s]; default: 60."
+    "--duration",
+    type=Number(0, 1800, 60),
+    default=60.0,
+    metavar="S",
+    help="Longest duration of a flight [s]; default: 60.",
 )
 @click.option(
     "--amplitude", type=float, metavar="A", help="Factor on the full amplitude; default: the largest that fits."
 )
 @click.option("--speed", type=float, metavar="V", help="Largest speed along x and y [m/s]; default: 1.5.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Random seed; default: 0.")
+@click.option("--seed", type=SEED, default=0, metavar="N", help="Random seed; default: 0.")
 @click.option(
     "-o", "output", type=file_at(), metavar="plan.toml", help="Write the plan; an edited one is not overwritten."
 )
@@ -62,7 +68,7 @@ if TYPE_CHECKING:
 def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
     """Design a flight, and predict its path and the accuracy of a fit to it."""
     from rotorfit.files.plans import check_plan_destination, save_plan
-    from rotorfit.planning.preview import PICTURE_MARK, write_picture
+    from rotorfit.planning.preview import PICTURE_MARK, check_picture_name, write_picture
     from rotorfit.planning.request import Request, destinations, planned, plans_mapping
 
     request = Request(**asked)
@@ -74,6 +80,7 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 
         for path in pictures:
             check_destination(path, PICTURE_MARK)
+            check_picture_name(path)
     with progress_bar() as progress:
         plans, proposal = planned(request, progress)
     for one, path in zip(plans, files, strict=False):
@@ -110,7 +117,7 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 @card_option("the plan's own")
 @click.option("--land/--no-land", default=True, help="Land (default) or hover at the end, whatever ended the flight.")
 @click.option("--take-off", is_flag=True, help="Begin on the floor.")
-@click.option("--seed", type=int, default=0, help="Random seed of a simulated vehicle.")
+@click.option("--seed", type=SEED, default=0, help="Random seed of a simulated vehicle.")
 @click.option("--track", is_flag=True, help="Track the model meanwhile, in a separate process; alarms are recorded.")
 @AFTER
 @TUNE

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from rotorfit.app.cli.options import JSON, MODEL, axes_of, file_at, print_json, progress_bar, say_kept
+from rotorfit.app.cli.options import JSON, MODEL, SEED, axes_of, file_at, print_json, progress_bar, say_kept
 
 
 @click.command()
@@ -75,7 +75,7 @@ def export(
 @click.option("--peak", type=float, default=1.7, metavar="MS", help="Largest peak of the sensitivity; default: 1.7.")
 @click.option(
     "--seed",
-    type=int,
+    type=SEED,
     default=0,
     metavar="N",
     help="Random seed of the vehicles drawn from the covariance; default: 0.",

@@ -1,6 +1,7 @@
 """Arguments and options that several verbs share, the conversion of their texts, JSON output and progress bar."""
 
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -66,9 +67,47 @@ def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | Non
     return horizons
 
 
+class Number(click.FloatRange):
+    """A finite number within bounds; the error says which, with an example."""
+
+    def __init__(self, low: float, high: float | None, example: float) -> None:
+        super().__init__(low, high)
+        self._bounds = f"of {low} or more" if high is None else f"from {low} to {high}"
+        self._example = example
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number; refuses what is none, or out of bounds."""
+        try:
+            number: Any = super().convert(value, param, ctx)
+        except click.BadParameter:
+            number = math.nan
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a number {self._bounds}, such as {self._example}", param, ctx)
+        return number
+
+
+SEED = click.IntRange(min=0)
+
+
+class _File(click.Path):
+    """A path on the disk; not the option that follows where the path was forgotten."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; refuses what looks like an option."""
+        return super().convert(_not_an_option(ctx, param, value), param, ctx)
+
+
+def _not_an_option(ctx: click.Context | None, parameter: click.Parameter | None, value: Any) -> Any:
+    if isinstance(value, str) and value.startswith("-"):
+        raise click.BadParameter(
+            f"a value is missing before {value} (a file of that name is ./{value})", ctx, parameter
+        )
+    return value
+
+
 def file_at(**more: Any) -> click.Path:
     """A path on the disk; `more` as in `click.Path`."""
-    return click.Path(path_type=Path, **more)
+    return _File(path_type=Path, **more)
 
 
 LOGS = click.argument("logs", metavar="LOG...", nargs=-1, required=True)
@@ -78,7 +117,8 @@ MODEL = click.argument("model_path", metavar="MODEL")
 
 def card_option(default: str) -> Callable[[Function], Function]:
     """The option `--card`; `default` says in words what is used without it."""
-    return click.option("--card", metavar="C", help=f"Name of a built-in card, or a TOML file; default: {default}.")
+    told = f"Name of a built-in card, or a TOML file; default: {default}."
+    return click.option("--card", metavar="C", callback=_not_an_option, help=told)
 
 
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")

@@ -74,11 +74,11 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 @JSON
 def report(paths: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
     """Write one self-contained page about a model and its proof, or about several side by side."""
-    from rotorfit.app.workflows import REPORT_MARK, cases_of, check_destination
+    from rotorfit.app.workflows import cases_of, check_page
     from rotorfit.assessment.evidence import evidence_of
     from rotorfit.reporting import write_figures, write_report
 
-    check_destination(output, REPORT_MARK)
+    check_page(output)
     with progress_bar() as progress:
         cases, left_out = cases_of(paths, progress)
     if figures and len(cases) > 1:

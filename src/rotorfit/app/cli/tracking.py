@@ -1,7 +1,6 @@
 """The verb that tracks a vehicle while it flies, or a log as if it were live."""
 
 import json
-import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorfit.app.cli.options import AFTER, TUNE, card_option, file_at, say_kept, structure_of
+from rotorfit.app.cli.options import AFTER, TUNE, Number, card_option, file_at, say_kept, structure_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,10 +31,10 @@ PORT.name = "port number"  # the name in error messages
     help="Listen to a vehicle that somebody else flies: sim, ros1, ros2, mavlink; or to replay:LOG.",
 )
 @card_option("the one that fits")
-@click.option("--for", "seconds", type=click.FloatRange(min=0.1), metavar="S", help="Listen for S seconds.")
+@click.option("--for", "seconds", type=Number(0.1, None, 60), metavar="S", help="Listen for S seconds.")
 @click.option(
     "--patience",
-    type=click.FloatRange(min=0.0),
+    type=Number(0, None, 60),
     default=60.0,
     show_default=True,
     metavar="S",
@@ -72,7 +71,7 @@ PORT.name = "port number"  # the name in error messages
 @click.option(
     "--false-alarms-per-hour",
     "false_alarms",
-    type=click.FloatRange(1e-6, 60),
+    type=Number(1e-6, 60, 0.1),
     default=0.1,
     show_default=True,
     help="Largest expected number of false alarms per hour.",
@@ -85,7 +84,7 @@ PORT.name = "port number"  # the name in error messages
 )
 @click.option(
     "--pace",
-    type=click.FloatRange(min=0.01),
+    type=Number(0.01, None, 2),
     metavar="P",
     help="Playback speed: 1 is real time, the default for a link; default for a log: as fast as possible.",
 )
@@ -115,19 +114,25 @@ def track(
     from rotorfit.app.live.serving import Views
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.tracking import track_view
-    from rotorfit.app.workflows import MODEL_MARK, REPORT_MARK, check_destination
+    from rotorfit.app.workflows import MODEL_MARK, check_destination, check_page
+    from rotorfit.core.writing import check_place
+    from rotorfit.flying.mission import check_new
     from rotorfit.tracking.earlier import earlier_of
 
     if (log is None) == (link is None):
         raise click.UsageError("name a LOG, or a --link to listen to: one of the two")
     if link is None and (record or memory or seconds):
-        raise click.UsageError("--record, --state and --for are for a --link; a LOG is a recording, whole")
-    if not all(math.isfinite(each) for each in (seconds or 0.0, patience, pace or 1.0)):
-        raise click.UsageError("--for, --patience and --pace must be finite numbers")
+        raise click.UsageError(
+            "--record, --state and --for are for a --link; a LOG is a recording already, and LOG@0:60 is a part of it"
+        )
     if output:
         check_destination(output, MODEL_MARK)
     if report:
-        check_destination(report, REPORT_MARK)
+        check_page(report)
+    if record:
+        check_new(record)
+    if memory:
+        check_place(memory)
     earlier = earlier_of(after) if after else None
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     lost = stopped = ""
@@ -239,14 +244,11 @@ def _listened(
     from rotorfit.flying.links.opening import open_listener
     from rotorfit.flying.links.sim import changes_missed
     from rotorfit.flying.listening import Listening
-    from rotorfit.flying.mission import check_new
     from rotorfit.flying.operator import operator_abort
     from rotorfit.tracking.earlier import limits_of_earlier
     from rotorfit.tracking.flight_so_far import UNRECORDED
     from rotorfit.tracking.tracker import Tracker
 
-    if record:
-        check_new(record)
     chosen = card_for_link(link, card)
 
     def say(text: str) -> None:

@@ -18,7 +18,7 @@ from rotorfit.app.terminal.tables import (
 )
 from rotorfit.assessment.rows import LENGTH, coefficient_rows
 from rotorfit.assessment.summary import summary_of_model
-from rotorfit.core.finding import DAMAGED
+from rotorfit.core.finding import DAMAGED, told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import COEFFICIENTS, Axis, Mode, Model
@@ -67,7 +67,7 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
         start, end = flight.span
         yield title(f"{flight.path}, {start:.2f} to {end:.2f} s, commands {', '.join(flight.axes) or 'nothing'}")
         yield from bullets([note.text for note in flight.notes if note.code != "damage"])  # shown first
-    for finding in concerned:
+    for finding in told_together(concerned):
         if finding.code != DAMAGED:
             yield ""
             yield from finding_view(finding)

@@ -9,6 +9,7 @@ from rich.text import Text
 
 from rotorfit.app.terminal.tables import View, bullets, finding_view, indented, table, title
 from rotorfit.core.card import Card, Channel
+from rotorfit.core.finding import told_together
 from rotorfit.files.logs.formats import Format
 from rotorfit.flights.columns import split_source
 from rotorfit.flights.stamps import Rate
@@ -45,7 +46,7 @@ def survey_view(survey: "Survey") -> View:
         if survey.why:
             yield indented(f"Proposed: {survey.why}")
         yield from _flight_view(survey.flight)
-        for finding in survey.flight.findings:
+        for finding in told_together(survey.flight.findings):
             if finding != survey.damage:  # shown first
                 yield ""
                 yield from finding_view(finding)

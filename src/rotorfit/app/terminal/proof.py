@@ -10,6 +10,7 @@ from rich.text import Text
 
 from rotorfit.app.terminal.tables import NOTHING, View, bullets, finding_view, indented, table, three_digits, title
 from rotorfit.assessment.rows import SPEED
+from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def residuals_view(validation: "Validation") -> View:
             yield ""
             yield title(f"What the residuals say, {Path(flight.path).name}")
             yield from bullets([f"{axis}: {residual_line(tests)}" for axis, tests in axes.items()])
-    for finding in validation.findings:
+    for finding in told_together(validation.findings):
         yield ""
         yield from finding_view(finding)
 

@@ -15,6 +15,7 @@ from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError
+from rotorfit.core.finding import told_together
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.limits import meaning_of
@@ -160,7 +161,7 @@ def result_mapping(evidence: Evidence) -> dict[str, Any]:
             {"axis": axis, "rows": [asdict(row) for row in rows]}
             for axis, rows in coefficient_table(evidence.coefficients)
         ],
-        "findings": [asdict(finding) for finding in model.findings],
+        "findings": [asdict(finding) for finding in told_together(model.findings)],
         "pooled": pooled_rows(scores),
         "scores": score_rows(validation) if len(validation.flights) > 1 else [],
         "residuals": residual_rows([motion.path for motion in evidence.validation], validation.residuals),

@@ -16,13 +16,15 @@ from threading import Event
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Log
 from rotorfit.core.progress import Progress, part_of
+from rotorfit.files.kinds import text_kind, told_instead
 from rotorfit.files.logs.content import Content, check_width, one_line
 from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import join_logs, parts_of
 
-__all__ = ["FORMATS", "read"]
+__all__ = ["FORMATS", "HEAD", "format_of", "read"]
 
-_HEAD = 1 << 16  # two lines of the widest CSV
+HEAD = 1 << 16
+"""Bytes by which a file is known: two lines of the widest CSV."""
 
 _BLOCK = 1 << 22  # bytes hashed at once, without holding up the thread that reads
 
@@ -52,14 +54,14 @@ def read(path: str | Path, tables: Collection[str] | None = None, progress: Prog
     path = Path(path)
     try:
         head = _head(path)
-        for name, form in FORMATS.items():
-            source = import_module(form.module)
-            if source.sniff(path, head):
-                with _hashed(path, progress) as digest:
-                    content: Content = source.read(path, None if tables is None else frozenset(tables))
-                    check_width(path, max((len(table.columns) for table in content.tables.values()), default=0))
-                    found = (content.tables, content.skipped, content.notes, content.attached, content.events)
-                    return Log(path, name, digest(), *found, damage=content.damage, units=content.units)
+        if name := format_of(path, head):
+            with _hashed(path, progress) as digest:
+                content: Content = import_module(FORMATS[name].module).read(
+                    path, None if tables is None else frozenset(tables)
+                )
+                check_width(path, max((len(table.columns) for table in content.tables.values()), default=0))
+                found = (content.tables, content.skipped, content.notes, content.attached, content.events)
+                return Log(path, name, digest(), *found, damage=content.damage, units=content.units)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({one_line(error)}); check the path and its permissions") from error
     if path.is_dir():
@@ -67,9 +69,16 @@ def read(path: str | Path, tables: Collection[str] | None = None, progress: Prog
             f"{path}: a folder without metadata.yaml is no ROS 2 bag; name a file in it, "
             "or rebuild the metadata with `ros2 bag reindex`"
         )
+    if kind := text_kind(head):
+        raise LogError(told_instead(path, kind, "log"))
     raise LogError(
         f"{path}: of no known format; `rotorfit formats` lists what can be read, and a CSV needs a header row of names"
     )
+
+
+def format_of(path: Path, head: bytes) -> str:
+    """Name of the format of a file, by its first bytes; empty where none is known."""
+    return next((name for name, form in FORMATS.items() if import_module(form.module).sniff(path, head)), "")
 
 
 def _head(path: Path) -> bytes:
@@ -85,7 +94,7 @@ def _head(path: Path) -> bytes:
     if not path.is_file():
         raise LogError(f"{path}: not a regular file; copy the log to one")
     with path.open("rb") as file:
-        head = file.read(_HEAD)
+        head = file.read(HEAD)
     if not head:
         raise LogError(f"{path}: the file is empty; check that the recording was written and copied whole")
     return head

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rotorfit.core.card import Card
-from rotorfit.core.errors import LinkError
+from rotorfit.core.errors import LinkError, nearest
 from rotorfit.core.flight_plan import Four
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Sample
@@ -34,6 +34,10 @@ EPOCH = 1_577_836_800 * 10**9
 
 DEFAULTS = {"start": "0/0/1.5/0", "seed": "0", "flying": "yes"}
 """Start of the vehicle, seed of its wind, noise and radio, and whether it is already in the air."""
+
+
+OPTIONS = ("wind", "gusts", *GIVEN, *DEFAULTS)
+"""All that may follow the vehicle."""
 
 
 def open_link(address: str, card: Card) -> "SimLink":
@@ -67,9 +71,12 @@ def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
     from rotorfit.simulation.vehicle import load_vehicle
 
     name, *given = address.split(",")
+    for key in (option.partition("=")[0] for option in given):
+        if key not in OPTIONS:
+            raise LinkError(f"--link sim: no option {key!r}{nearest(key, OPTIONS)}; options are {', '.join(OPTIONS)}")
     options = [option for option in given if option.partition("=")[0] not in DEFAULTS]
     start, seed, flying = _scene([option for option in given if option not in options])
-    changes = [option for option in options if "@" in option or option.partition("=")[0] in GIVEN]
+    changes = [option for option in options if option.partition("=")[0] in GIVEN]
     wind = wind_of([option for option in options if option not in changes], ",".join([name, *options]))
     conditions = Conditions(wind, changes=changes_of(changes, ",".join([name, *options])))
     vehicle = load_vehicle(name or VEHICLE)
@@ -96,11 +103,14 @@ def _scene(options: Sequence[str]) -> tuple[Four, int, bool]:
     scene = DEFAULTS | {key: text for key, _, text in (option.partition("=") for option in reversed(options))}
     try:
         x, y, z, yaw = (float(part) for part in scene["start"].split("/"))
-        return (x, y, z, yaw), int(scene["seed"]), {"yes": True, "no": False}[scene["flying"]]
+        seed, flying = int(scene["seed"]), {"yes": True, "no": False}[scene["flying"]]
+        if not all(map(math.isfinite, (x, y, z, yaw))) or seed < 0:
+            raise ValueError
     except (ValueError, KeyError):
         raise LinkError(
             f"--link sim: {', '.join(options)!r} is not start=X/Y/Z/YAW [m, rad], seed=NUMBER, flying=yes or no"
         ) from None
+    return (x, y, z, yaw), seed, flying
 
 
 class SimLink:

@@ -1,0 +1,33 @@
+from rotorfit.core.finding import Finding, told_together
+from rotorfit.core.plain import by_reason, listed
+
+
+def still(axis: str | None, evidence: str = "the {} command explains nothing") -> Finding:
+    return Finding("not_excited", "warning", evidence.format(axis), f"no coefficient of {axis} is a number", "x", axis)
+
+
+def test_what_holds_of_several_axes_is_told_once() -> None:
+    alone, whole = still("yaw", "the {} command is only a response"), still(None, "the poses repeat")
+
+    told = told_together([still("y"), whole, still("z"), alone])
+
+    assert told[1:] == (whole, alone)
+    assert told[0].evidence == "the y and z command explains nothing"
+    assert told[0].effect == "no coefficient of y and z is a number"
+    assert told[0].axis is None
+
+
+def test_findings_that_differ_in_more_than_the_axis_stay_apart() -> None:
+    both = still("x", "0.3 of {}"), still("y", "0.4 of {}")
+
+    assert told_together(both) == both
+    nameless = still("x", "nothing moves"), still("y", "nothing moves"), still(None, "nothing moves")
+    assert told_together(nameless) == nameless
+
+
+def test_a_reason_is_told_once_for_all_that_it_holds_for() -> None:
+    assert (
+        by_reason({"x": "no command", "y": "too short", "yaw": "no command"}) == "x and yaw: no command; y: too short"
+    )
+    assert listed(["x"]) == "x"
+    assert listed(["x", "y", "z"], "or") == "x, y or z"
