@@ -60,19 +60,6 @@ def test_the_interval_holds_a_push_however_fast_it_is_learnt(
     assert np.median([high for _, high in found]) < 0.4 * PUSH
 
 
-def test_the_longer_a_push_lasts_the_narrower_is_its_interval(followed: GroupEstimate, scores: Scores) -> None:
-    """What its first moments leave open is how fast it is learnt."""
-    widths = []
-    for ago in (0.4, 2.5):
-        begun = float(scores.time[-1]) - ago
-        low, high = push_interval(
-            replace(scores, innovation=whitened(followed, begun, 0.7)), (begun - 0.1, begun + 0.1)
-        )
-        widths.append(high - low)
-
-    assert widths[1] < 0.8 * widths[0]
-
-
 def test_a_payload_in_flight_has_the_size_of_its_first_push() -> None:
     """15 % more mass: 9.81 (1 / 1.15 - 1) m/s^2. Nothing else of z is said to have changed: it follows the push."""
     change = alarms("picked_up", "tello", seed=1, at=18.0)[-1].change
