@@ -134,11 +134,16 @@ def test_an_earlier_model_that_says_more_is_what_the_vehicle_is_believed_to_be()
     assert found.tuning.axes["x"].law.input == pytest.approx(g)
 
 
-def test_a_payload_changes_no_gains() -> None:
-    retuning = Retuning(flown=flown(0.02), before=of_x(error=0.02))
+def test_after_a_payload_input_and_delay_are_still_known_and_the_damping_is_learnt_anew() -> None:
+    g, b, tau = VEHICLE["x"]
+    lighter = [of_x((1.05 * g, 3.0 * b, tau + 0.002), error=0.1) for _ in range(3)]
+    retuning = Retuning(before=of_x(error=0.02))
     retuning.changed(["x"], "payload")
+    (found,) = looks(retuning, *lighter)
+    law = found.tuning.axes["x"].law
 
-    assert looks(retuning, *(of_x(error=0.2) for _ in range(3))) == []
+    assert (law.input, law.delay) == pytest.approx((g, tau))
+    assert law.damping > 2.0 * b
 
 
 def test_an_axis_that_is_not_told_in_full_is_tuned_only_where_the_rest_is_carried_over() -> None:

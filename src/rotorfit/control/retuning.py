@@ -48,8 +48,10 @@ CARRIED: Mapping[str, tuple[str, ...]] = {
     "thrust": COEFFICIENTS,
 }
 """Cause of an alarm to the coefficients that it leaves unchanged; other causes leave none. A payload and lost thrust
-change the trim, on which no gain depends; the damping of x and y falls with the mass, by less than a flight in wind
-reveals."""
+change the trim of z and yaw, on which no gain depends."""
+
+HEAVIER = "input", "delay"
+"""Coefficients of x and y that a payload leaves unchanged: where their damping is drag, it falls with the mass."""
 
 CONTRADICTED = 0.99
 """Quantile of the distance between carried knowledge and the new fit beyond which the fit is used alone."""
@@ -139,7 +141,8 @@ class Retuning:
             last = self._fits.pop(axis, None)
             if last:
                 self._before[axis] = last[2]
-            self._carried[axis] = tuple(name for name in self._carried[axis] if name in CARRIED.get(cause, ()))
+            kept = HEAVIER if cause == "payload" and axis in ("x", "y") else CARRIED.get(cause, ())
+            self._carried[axis] = tuple(name for name in self._carried[axis] if name in kept)
             if self._carried[axis] != COEFFICIENTS:
                 self._anew.add(axis)
 

@@ -85,6 +85,8 @@ FALSE_ALARMS_PER_HOUR = 0.1
 RESTLESS = 0.97
 """Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
 
+HEAVIER = "x and y are learnt anew, as their damping is drag over mass"
+
 HELD = "its commands only answer its motion"
 
 
@@ -294,15 +296,16 @@ class Following:
             if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
         ]
         named = diagnosis([(scored[names], best), *others])
+        heavier = [axis for axis in flight.axes if named.cause == "payload" and is_drag(flight.card, axis)]
         alarm = Alarm(
             time=now,
-            axes=tuple(axis for axis in AXES if axis in named.axes),
+            axes=tuple(axis for axis in AXES if axis in named.axes or axis in heavier),
             cause=named.cause,
             since=since,
             change=_sizes(named, scored, since) if raised else {},
             confidence=named.confidence,
             p_value=p_value,
-            why=named.why,
+            why=f"{named.why}; {HEAVIER}" if heavier else named.why,
             revises=raised.alarm.time if raised else None,
         )
         self._raised = None if raised else _Raised(alarm, names, first, looked, before)
