@@ -10,7 +10,6 @@ from rotorfit.core.errors import nearest
         ("TILT", "tilt"),
         ("yaw-rate", "yaw_rate"),
         ("zzz", ""),
-        ("ttt", ""),
         ("plan.toml", ""),
         ("", ""),
     ],
