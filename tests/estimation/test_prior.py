@@ -60,7 +60,7 @@ def believed(**coefficients: dict) -> Fit:
 @pytest.mark.parametrize(
     ("prior", "told"),
     [
-        ({"w": {}}, "nearest"),
+        ({"w": {}}, "unknown key 'w'"),
         ({"x": {"inputs": {"mean": 4.0, "sd": 0.5}}}, "unknown key 'inputs'; nearest: 'input'"),
         ({"x": {"input": {"mean": 4.0, "std": 0.5}}}, "unknown key 'std'; nearest: 'sd'"),
         ({"x": {"input": {"mean": 4.0}}}, "key 'sd' is missing"),

@@ -57,7 +57,7 @@ class LinkOverError(LinkError):
     """A replayed flight has ended: no more data will come, and nothing is wrong."""
 
 
-NEAR = 0.5
+NEAR = 0.52
 """Least similarity at which one name is offered for another; below, they have little more than a letter in common."""
 
 

@@ -20,7 +20,7 @@ from rotorfit.core.plain import place_of, plain_json, shown, text_of
 from rotorfit.core.results import FlightScores, LeftOut, PairedTest
 from rotorfit.core.writing import write_whole
 from rotorfit.files.cards import card_from_mapping
-from rotorfit.files.mistaken import mistaken
+from rotorfit.files.mistaken import kind_of, mistaken
 from rotorfit.files.schema import structured
 
 FORMAT = "rotorfit-model"
@@ -68,7 +68,7 @@ def load(path: str | Path) -> Model:
             or f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
         ) from None
     except ValueError as error:
-        if is_model_file(path):
+        if kind_of(Path(path)) == "model":
             raise ModelError(f"{path}: a model file that is cut short or damaged ({error}); fit it again") from None
         raise ModelError(
             mistaken(path, "model")

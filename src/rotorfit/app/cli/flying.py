@@ -117,7 +117,7 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 @card_option("the plan's own")
 @click.option("--land/--no-land", default=True, help="Land (default) or hover at the end, whatever ended the flight.")
 @click.option("--take-off", is_flag=True, help="Begin on the floor.")
-@click.option("--seed", type=SEED, default=0, help="Random seed of a simulated vehicle.")
+@click.option("--seed", type=SEED, default=0, metavar="N", help="Random seed of a simulated vehicle; default: 0.")
 @click.option("--track", is_flag=True, help="Track the model meanwhile, in a separate process; alarms are recorded.")
 @AFTER
 @TUNE

@@ -73,6 +73,7 @@ PORT.name = "port number"  # the name in error messages
     "false_alarms",
     type=Number(1e-6, 60, 0.1),
     default=0.1,
+    metavar="N",
     show_default=True,
     help="Largest expected number of false alarms per hour.",
 )
