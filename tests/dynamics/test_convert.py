@@ -140,6 +140,15 @@ def test_commands_divided_by_the_factor_move_the_converted_model_the_same() -> N
     np.testing.assert_allclose(scaled.velocity, flown.velocity, atol=1e-11)
 
 
+def test_a_turning_motion_is_the_same_at_few_times_as_at_many() -> None:
+    at, command = np.array([0.0, 1.0]), np.array([[0.2, 0.1, 0.2, 0.2], [-0.2, 0.0, 0.1, -0.3]])
+    few, many = (simulate(model_of(), at, command, np.linspace(0.0, 3.0, n)) for n in (4, 3001))
+
+    assert abs(many.pose[-1, 3]) > 0.1
+    np.testing.assert_allclose(few.pose, many.pose[::1000], atol=1e-4)
+    np.testing.assert_allclose(few.velocity, many.velocity[::1000], atol=1e-4)
+
+
 def test_limits_that_are_not_named_stay_and_physics_keeps_its_ratios() -> None:
     model = model_of()
     other = convert(model, limits_from_text("tilt=10deg"))

@@ -72,6 +72,10 @@ def state_space(model: Model) -> StateSpace:
     return StateSpace(axes, A, B, C, np.array([p.delay for p in points]))
 
 
+TURN_STEP = 0.005
+"""Longest step of `simulate` [s]: the heading is held over each, so sparse times would turn x and y too late."""
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """A simulated motion: times (N,), pose x, y, z, yaw (N, 4) and its rate (N, 4), world frame, SI."""
@@ -122,11 +126,15 @@ def simulate(
         for s, p, a in zip(structures, points, AXES, strict=True)
     ])  # fmt: skip
 
+    at = np.union1d(time, np.arange(time[0], time[-1], TURN_STEP))
+    wanted = np.searchsorted(at, time)
+
     def run(pair: list[int], heading: Array) -> Array:
         return free_run(
-            command_time, np.ascontiguousarray(command[:, pair]), laws[pair], pose[pair], velocity[pair], time, heading
+            command_time, np.ascontiguousarray(command[:, pair]), laws[pair], pose[pair], velocity[pair], at, heading
         )
 
-    side = run([2, 3], np.zeros(time.size))
-    plane = run([0, 1], np.ascontiguousarray(side[:, 1]))
+    side = run([2, 3], np.zeros(at.size))
+    plane = run([0, 1], np.ascontiguousarray(side[:, 1]))[wanted]
+    side = side[wanted]
     return Trajectory(time, np.hstack([plane[:, :2], side[:, :2]]), np.hstack([plane[:, 2:], side[:, 2:]]))
