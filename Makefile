@@ -23,7 +23,7 @@ BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 # Byte-code is compiled once here, even where the shell forbids it: otherwise every first import takes seconds.
-INSTALL := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pip install --quiet --disable-pip-version-check --compile
+INSTALL = env -u PYTHONDONTWRITEBYTECODE $(@D)/bin/python -m pip install --quiet --disable-pip-version-check --compile
 
 # Byte-code is kept, the tests' own too: without it each worker and each process that a test starts compiles its modules anew.
 TESTS := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest --numprocesses auto --dist worksteal
@@ -63,11 +63,11 @@ test-slow: .venv/installed-dev
 test-live: .venv/installed-dev
 	$(BIN)/pytest -m slow -s -rs tests/flying/test_links_live.py tests/flying/test_links_faults.py
 
-bench: .venv/installed-bench
-	set -e; for script in bench/bench_*.py; do $(BIN)/python "$$script"; done
+bench: .venv-bench/installed
+	set -e; for script in bench/bench_*.py; do .venv-bench/bin/python "$$script"; done
 
 clean:
-	rm -rf .venv demo build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-bench demo build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find src tests bench -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # The project is installed in place (editable): again only when pyproject.toml has changed.
@@ -79,10 +79,11 @@ clean:
 	$(INSTALL) --editable '.[dev]'
 	@touch $@ .venv/installed
 
-.venv/installed-bench: pyproject.toml | .venv/bin/python
+# Apart: some of the peers want an older NumPy than the types are checked with.
+.venv-bench/installed: pyproject.toml | .venv-bench/bin/python
 	$(INSTALL) --editable '.[bench]'
-	@touch $@ .venv/installed
+	@touch $@
 
-.venv/bin/python:
+.venv/bin/python .venv-bench/bin/python:
 	$(if $(PROBLEM),$(error $(PROBLEM)))
-	"$(PYTHON)" -m venv --clear .venv || { rm -rf .venv; exit 1; }
+	"$(PYTHON)" -m venv --clear $(@D:/bin=) || { rm -rf $(@D:/bin=); exit 1; }
