@@ -2,8 +2,8 @@
 
     PYTHONPATH=src python tests/files/version_0_1/numbers_of.py > numbers.json
 
-In `numbers.json` the flight is that of version 0.1, and so is the motion but for the heading, which now turns x and y at
-every 5 ms: in version 0.1 at the times that were asked for only, 9 mm off here. Its commands were in force before the
+In `numbers.json` the flight is that of version 0.1, and so is the motion but for the heading, which now turns x and y
+at every 5 ms: in version 0.1 at the times that were asked for only, 9 mm off. Its commands were in force before the
 first of them, too: here they are stated so. Its predictions are not: they come from the version whose filter adapts to
 the air of a flight, which changed them all.
 
