@@ -399,11 +399,11 @@ def _past(flight: Flight, k: int, time: Array) -> Array:
     lags = step * np.arange(1, max(1, round(REACH / step)) + 1)
     segment = np.searchsorted([part.start for part in flight.segments], time, side="right") - 1
     first = np.searchsorted(flight.command_time, [part.start for part in flight.segments])[segment]
-    out = np.empty((lags.size, time.size))
-    for row, lag in zip(out, lags, strict=True):  # one by one: together, half an hour takes 50 MB
+    out = np.empty((time.size, lags.size))
+    for column, lag in zip(out.T, lags, strict=True):  # one by one: together, half an hour takes 50 MB
         held = np.searchsorted(flight.command_time, time - lag, side="right") - 1
-        row[:] = flight.command[np.maximum(held, first), k]
-    return out.T
+        column[:] = flight.command[np.maximum(held, first), k]
+    return out
 
 
 def _sensitivity(rec: Record, rows: Array, k: int) -> Array:

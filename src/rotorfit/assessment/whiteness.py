@@ -79,18 +79,16 @@ def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogra
     Source: Ljung 1999, section 16.6: the variance is the sum of the products of both autocovariances, here estimated
     from the products themselves (W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708).
     """
+    u = innovations.past - innovations.past.mean(axis=0)
     e = innovations.innovation - innovations.innovation.mean()
-    lags = innovations.past.shape[1]
-    value, band = np.zeros(lags), np.zeros(lags)
-    for first in range(0, lags, TOGETHER):
-        u = innovations.past[:, first : first + TOGETHER]
-        u = u - u.mean(axis=0)
-        size = np.sqrt(float(e @ e) * np.sum(u**2, axis=0))
-        told = size > 0
-        total, spread = _with_command(innovations, u, covariance)
-        some = first + np.flatnonzero(told)
-        value[some], band[some] = total[told] / size[told], NORMAL * np.sqrt(np.diag(spread)[told]) / size[told]
-    lag = _step(innovations.time) * np.arange(1, lags + 1)
+    size = np.sqrt(float(e @ e) * np.sum(u**2, axis=0))
+    value, band = np.zeros(size.size), np.zeros(size.size)
+    told = np.flatnonzero(size > 0)
+    for first in range(0, told.size, TOGETHER):
+        some = told[first : first + TOGETHER]
+        total, spread = _with_command(innovations, u[:, some], covariance)
+        value[some], band[some] = total / size[some], NORMAL * np.sqrt(np.diag(spread)) / size[some]
+    lag = _step(innovations.time) * np.arange(1, size.size + 1)
     return Correlogram(np.asarray(lag, float), value, band)
 
 
@@ -143,8 +141,7 @@ def residual_tests(
 def _independence(innovations: Innovations, covariance: Array) -> tuple[float | None, int]:
     """p-value of no correlation with any of the past commands jointly, and how many of these are independent."""
     every = max(1, round(COMMAND_EVERY / _step(innovations.time)))
-    u = innovations.past[:, ::every]
-    u = u - u.mean(axis=0)
+    u = innovations.past[:, ::every] - innovations.past[:, ::every].mean(axis=0)
     size, directions = np.linalg.eigh(u.T @ u)
     if size[-1] <= 0:
         return None, 0

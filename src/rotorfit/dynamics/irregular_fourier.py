@@ -11,9 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from rotorfit.core.frames import Array, Indices
+from rotorfit.core.frames import Array
 from rotorfit.core.frequency_response import Spectrum
-from rotorfit.dynamics.compiled import kernel
 
 WIDTH = 16
 """Number of grid points over which one point is spread."""
@@ -39,8 +38,9 @@ class IrregularFourier:
         self._size = int(next_fast_len(2 * count + WIDTH))
         place = points * (self._size / (2 * np.pi))
         first = np.ceil(place - WIDTH / 2)
-        self._first, self._weight = np.mod(first, self._size).astype(np.int64), np.empty((WIDTH, points.size))
+        self._at, self._weight = np.empty((WIDTH, points.size), np.int32), np.empty((WIDTH, points.size))
         for w in range(WIDTH):  # one after the other: all points at once take much memory
+            self._at[w] = np.mod(first + w, self._size)
             self._weight[w] = _kernel((first + w - place) / (WIDTH / 2))
         self._bin = np.mod(np.arange(count) - count // 2, self._size)
         self._transform = _transform(count, self._size)
@@ -48,38 +48,20 @@ class IrregularFourier:
 
     def over_points(self, coefficient: Array | Spectrum) -> Spectrum:
         """Sum over j of c_j exp(-i m x_j), shape (M,), of coefficients of shape (J,)."""
-        grid, part = np.zeros((2, self._size), np.complex128)
-        _spread(coefficient * self._turn, self._first, self._weight, part, grid)
+        turned, grid = coefficient * self._turn, np.zeros(self._size, np.complex128)
+        for at, weight in zip(self._at, self._weight, strict=True):
+            grid.real += np.bincount(at, weight * turned.real, self._size)
+            grid.imag += np.bincount(at, weight * turned.imag, self._size)
         return np.asarray(np.fft.fft(grid)[self._bin] / self._transform)
 
     def at_points(self, coefficient: Array | Spectrum) -> Spectrum:
         """Sum over m of c_m exp(-i m x_j), shape (J,), of coefficients of shape (M,)."""
         grid, total = np.zeros(self._size, np.complex128), np.zeros(self._turn.size, np.complex128)
         grid[self._bin] = coefficient / self._transform
-        _gather(np.fft.fft(grid), self._first, self._weight, total)
+        spectrum = np.fft.fft(grid)
+        for at, weight in zip(self._at, self._weight, strict=True):
+            total += weight * spectrum[at]
         return np.asarray(self._turn * total)
-
-
-@kernel()
-def _spread(value: Spectrum, first: Indices, weight: Array, part: Spectrum, grid: Spectrum) -> None:
-    """Adds values (J,), with weights (WIDTH, J), to a grid that closes on itself, each from its first point on.
-
-    The values are summed weight by weight, in the work space `part`, as large as the grid.
-    """
-    for w in range(weight.shape[0]):
-        part[:] = 0.0
-        for j in range(value.size):
-            part[(first[j] + w) % grid.size] += weight[w, j] * value[j]
-        for n in range(grid.size):
-            grid[n] += part[n]
-
-
-@kernel()
-def _gather(grid: Spectrum, first: Indices, weight: Array, total: Spectrum) -> None:
-    """Adds the points of the grid, with the weights, to totals (J,): the transpose of `_spread`."""
-    for w in range(weight.shape[0]):
-        for j in range(total.size):
-            total[j] += weight[w, j] * grid[(first[j] + w) % grid.size]
 
 
 @lru_cache(maxsize=4)  # the axes of a flight have the same numbers of samples

@@ -5,8 +5,8 @@ The stamps are used as they are: irregular, jittered, with gaps where stale pose
 Also the measurements of a segment on one clock, with the reference velocity, for the prediction protocol.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from rotorfit.dynamics.compiled import kernel
 NANOSECOND = 1e-9
 """Tolerance at the edge of a window [s]: stamps are whole nanoseconds, and the rounding of their difference must not
 decide whether a sample on the edge belongs to the window."""
-
-PIECE = 16384
-"""Stamps at which polynomials are fitted together: what is kept of them is less than all that is computed."""
 
 
 @dataclass(frozen=True)
@@ -83,21 +80,6 @@ def local_polynomial(
     Source: G. E. Forsythe, Generation and use of orthogonal polynomials for data-fitting with a digital computer,
     J. SIAM 5 (1957), pp. 74-88. The paper (section 5) says "differentiating ... through polynomial approximation".
     """
-    pieces = [*local_polynomials(time, value, at, half_width, degree, least=least, max_gap=max_gap)]
-    return Derivatives(*(np.concatenate([getattr(part, of.name) for part in pieces]) for of in fields(Derivatives)))
-
-
-def local_polynomials(
-    time: Array,
-    value: Array,
-    at: Array,
-    half_width: float,
-    degree: int,
-    *,
-    least: int | None = None,
-    max_gap: float = 1.0,
-) -> Iterator[Derivatives]:
-    """`local_polynomial` in pieces of `at`: for half an hour all of it takes 40 MB, one derivative 7 MB."""
     least = degree + 2 if least is None else least
     if value.ndim != 2 or time.shape != (value.shape[0],) or at.ndim != 1:
         raise ValueError(f"shapes (N,), (N, K), (M,) are needed, not {time.shape}, {value.shape}, {at.shape}")
@@ -108,19 +90,17 @@ def local_polynomials(
     # Copies, so that read-only or strided input does not make numba compile the kernels once more.
     time, at = np.array(time, dtype=np.float64), np.array(at, dtype=np.float64)
     start, stop = _runs(time, max_gap)
+    before = np.searchsorted(time, at + NANOSECOND, side="right") - 1
+    reach = [at - half_width - NANOSECOND, at + half_width + NANOSECOND]
+    low, high = np.searchsorted(time, reach[0]), np.searchsorted(time, reach[1], side="right")
+    first, last = np.zeros((2, at.size), np.int64)
+    width, centred = np.full(at.size, np.nan), np.zeros(at.size, np.bool_)
+    _windows(time, at, half_width, least, start, stop, before, low, high, first, last, width, centred)
     columns = np.array(value.T, dtype=np.float64, order="C")
-    for begin in range(0, max(at.size, 1), PIECE):
-        part = at[begin : begin + PIECE]
-        before = np.searchsorted(time, part + NANOSECOND, side="right") - 1
-        low = np.searchsorted(time, part - half_width - NANOSECOND)
-        high = np.searchsorted(time, part + half_width + NANOSECOND, side="right")
-        first, last = np.zeros((2, part.size), np.int64)
-        width, centred = np.full(part.size, np.nan), np.zeros(part.size, np.bool_)
-        _windows(time, part, half_width, least, start, stop, before, low, high, first, last, width, centred)
-        result = np.empty((3, part.size, len(columns)))
-        longest = int((last - first).max(initial=1))
-        _project(time, columns, part, first, last, width, degree, np.empty((3, longest)), np.empty((2, 3)), result)
-        yield Derivatives(result[0], result[1], result[2], half_width=width, count=last - first, centred=centred)
+    result = np.empty((3, at.size, len(columns)))
+    longest = int((last - first).max(initial=1))
+    _project(time, columns, at, first, last, width, degree, np.empty((3, longest)), np.empty((2, 3)), result)
+    return Derivatives(result[0], result[1], result[2], half_width=width, count=last - first, centred=centred)
 
 
 def _runs(time: Array, max_gap: float) -> tuple[Indices, Indices]:
@@ -285,15 +265,12 @@ def motion_from_flight(
     pose = np.column_stack([flight.position, flight.yaw])
     kept, velocities, accelerations = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 4))], [np.zeros((0, 4))]
     for segment in flight.segments:
-        begin = int(np.searchsorted(flight.pose_time, segment.start))
-        past = int(np.searchsorted(flight.pose_time, segment.end, side="right"))
-        time, inside = flight.pose_time[begin:past], pose[begin:past]
-        for fit in local_polynomials(time, inside, time, half_width, degree, least=least, max_gap=longest_hole):
-            kept.append(begin + np.flatnonzero(fit.centred))
-            velocities.append(fit.velocity[fit.centred])
-            accelerations.append(fit.acceleration[fit.centred])
-            begin += fit.centred.size
-    del pose
+        inside = np.flatnonzero((flight.pose_time >= segment.start) & (flight.pose_time <= segment.end))
+        time = flight.pose_time[inside]
+        fit = local_polynomial(time, pose[inside], time, half_width, degree, least=least, max_gap=longest_hole)
+        kept.append(inside[fit.centred])
+        velocities.append(fit.velocity[fit.centred])
+        accelerations.append(fit.acceleration[fit.centred])
     index, velocity = np.concatenate(kept), np.concatenate(velocities)
     time, yaw = flight.pose_time[index], flight.yaw[index]
     velocity[:, :2] = heading_from_world(velocity[:, :2], yaw)
@@ -343,15 +320,15 @@ def seen_in(flight: Flight, low: float, high: float) -> MeasuredSegment:
     inside = (flight.pose_time >= low) & (flight.pose_time <= high)
     t, pose = flight.pose_time[inside], np.column_stack([flight.position, flight.yaw])[inside]
     if flight.velocity is None or not flight.velocity_only or not t.size:
-        return MeasuredSegment(t, pose, _smooth(t, pose, t))
+        return MeasuredSegment(t, pose, _smooth(t, pose, t).velocity.copy())  # the other derivatives can go
     own = flight.velocity.between(float(t[0]), high)
     time = np.union1d(t, own.time)
     velocity = np.full((time.size, len(AXES)), np.nan)
     velocity[np.searchsorted(time, own.time)] = own.value
     alone = np.isin(AXES, flight.velocity_only)
-    reference = _smooth(t, pose, time)
+    reference = _smooth(t, pose, time).velocity
     for k in np.flatnonzero(alone):  # the same cubic smooths what needs no derivative
-        reference[:, k] = _smooth(own.time, own.value[:, k : k + 1], time, "value")[:, 0]
+        reference[:, k] = _smooth(own.time, own.value[:, k : k + 1], time).value[:, 0]
     return MeasuredSegment(
         time=time,
         pose=np.column_stack([np.interp(time, t, column) for column in pose.T]),
@@ -363,6 +340,5 @@ def seen_in(flight: Flight, low: float, high: float) -> MeasuredSegment:
     )
 
 
-def _smooth(time: Array, values: Array, at: Array, what: str = "velocity") -> Array:
-    pieces = local_polynomials(time, values, at, REFERENCE_HALF_WIDTH, 3, least=REFERENCE_LEAST, max_gap=LONGEST_GAP)
-    return np.concatenate([getattr(part, what) for part in pieces])
+def _smooth(time: Array, values: Array, at: Array) -> Derivatives:
+    return local_polynomial(time, values, at, REFERENCE_HALF_WIDTH, 3, least=REFERENCE_LEAST, max_gap=LONGEST_GAP)

@@ -29,9 +29,6 @@ from rotorfit.dynamics.transfer_function import law_response
 DRAWS, SEED = 4000, 20
 """Number of draws of Q under the law, and their seed."""
 
-TOGETHER = 500
-"""Draws that are computed together: all of those of half an hour take 60 MB."""
-
 NOTHING = 1e-6
 """Ratio to the largest singular value below which a combination of coefficients has no effect."""
 
@@ -137,19 +134,14 @@ def _null(slope: Array, noise: Array, sizes: Sequence[int]) -> tuple[float, floa
     owner = np.repeat(np.arange(len(sizes)), 2 * np.asarray(sizes))
     first = np.searchsorted(owner, np.arange(len(sizes)))
     variance = rng.chisquare(noise[first], (DRAWS, len(sizes))) / noise[first]
+    weight = 1 / np.sqrt(variance[:, owner])
     basis, size, _ = np.linalg.svd(slope, full_matrices=False)
     X = basis[:, size > NOTHING * size[0]]
-    squares, (P, D) = (X[:, :, None] * X[:, None, :]).reshape(len(X), -1), (X.shape[1], noise.size - X.shape[1])
-
-    def drawn(variance: Array) -> Array:
-        weight = 1 / np.sqrt(variance[:, owner])
-        r = weight * rng.standard_normal(weight.shape)
-        through = (weight * r) @ X
-        gram = (weight**2 @ squares).reshape(-1, P, P)
-        told = np.einsum("dp,dp->d", through, np.linalg.solve(gram, through[..., None])[..., 0])
-        return np.asarray(np.sum(r**2, axis=1) - told)
-
-    Q = np.concatenate([drawn(some) for some in np.split(variance, range(TOGETHER, DRAWS, TOGETHER))])
+    r = weight * rng.standard_normal((DRAWS, noise.size))
+    through = (weight * r) @ X
+    gram = (weight**2 @ (X[:, :, None] * X[:, None, :]).reshape(len(X), -1)).reshape(DRAWS, X.shape[1], X.shape[1])
+    told = np.einsum("dp,dp->d", through, np.linalg.solve(gram, through[..., None])[..., 0])
+    Q, D = np.sum(r**2, axis=1) - told, noise.size - X.shape[1]
     return matched(float(Q.mean()) / D, float(Q.var()) / D**2, D)
 
 

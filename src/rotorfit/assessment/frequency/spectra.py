@@ -156,10 +156,10 @@ def _window(flight: Flight, axis: str, first: int, last: int) -> Window | None:
     switch = np.append(begin, time[-1])
     row = np.maximum(np.searchsorted(flight.command_time, begin, side="right") - 1, 0)
     command, reference = flight.command[row], None if flight.reference is None else flight.reference[row]
-    position = flight.position[first:last, k] if k < 3 else yaw
+    position = np.column_stack([flight.position, flight.yaw])[first:last]
     turned, rate, across = (np.zeros(begin.size) for _ in range(3))
     if k < 2:
-        position = heading_from_world(flight.position[first:last, :2], np.full(time.size, mean))[:, k]
+        position = heading_from_world(position[:, :2], np.full(time.size, mean))
         turned = np.interp((switch[1:] + switch[:-1]) / 2, time, yaw) - mean
         rate = np.diff(np.interp(switch, time, yaw)) / np.diff(switch)
         across = command[:, 1 - k] * (1.0 if k else -1.0)
@@ -167,7 +167,7 @@ def _window(flight: Flight, axis: str, first: int, last: int) -> Window | None:
         if reference is not None:
             reference = heading_from_world(reference[:, :2], np.full(begin.size, mean))
     told = None if reference is None or not np.isfinite(reference[:, k]).all() else reference[:, k]
-    return Window(time, position, switch, command[:, k], across * turned, across * rate, told)
+    return Window(time, position[:, k], switch, command[:, k], across * turned, across * rate, told)
 
 
 def highest_of(window: Window) -> float:

@@ -231,26 +231,19 @@ def _along_heading(rows: Array, yaw: Array) -> Array:
     return heading_from_world(rows, yaw) if rows.shape[1] == 2 else rows
 
 
-TOGETHER = 4096
-"""Stamps whose products are summed together, in fast memory: those of half an hour would take 20 MB."""
-
-
 def newey_west(time: Array, score: Array, lag: float) -> Array:
     """Sum over all pairs of stamps of (1 - |t_i - t_j| / lag)+ g_i g_j^T, shape (P, P), from scores g of shape (N, P).
 
     The triangle is a positive definite function of time, so the sum is positive semidefinite on irregular stamps, too.
     Running sums of g and of t g make the cost linear in N. Stamps and lag are in seconds.
     """
+    zero = np.zeros((1, score.shape[1]))
     time = time - time[0]
-    N, P = score.shape
-    g, tg, cross = np.zeros((N + 1, P)), np.zeros((N + 1, P)), np.zeros((P, P))
-    np.cumsum(score, axis=0, out=g[1:])
-    np.cumsum(time[:, None] * score, axis=0, out=tg[1:])
+    g = np.concatenate([zero, np.cumsum(score, axis=0)])
+    tg = np.concatenate([zero, np.cumsum(time[:, None] * score, axis=0)])
     first = np.searchsorted(time, time - lag)
-    for begin in range(0, N, TOGETHER):
-        own = slice(begin, min(begin + TOGETHER, N))
-        past, t = first[own], time[own, None]
-        cross += score[own].T @ ((1 - t / lag) * (g[own] - g[past]) + (tg[own] - tg[past]) / lag)
+    earlier = (1 - time / lag)[:, None] * (g[:-1] - g[first]) + (tg[:-1] - tg[first]) / lag
+    cross = score.T @ earlier
     return np.asarray(score.T @ score + cross + cross.T)
 
 
