@@ -16,6 +16,7 @@ from time import perf_counter, sleep
 from typing import TYPE_CHECKING
 
 from rotorfit.core import parallel
+from rotorfit.core.call_stack import with_room
 from rotorfit.core.progress import Progress
 
 if TYPE_CHECKING:
@@ -170,19 +171,7 @@ def main(names: Sequence[str]) -> None:
     """Compiles some parts, in a process that does nothing else."""
     gc.disable()  # compiling makes many long-lived objects: garbage collection would take a tenth of the time
     for name in names:
-        _with_room(PARTS[name][1])
-
-
-def _with_room(part: Callable[[], None]) -> None:
-    """Calls a part from a frame so large that Python allocates the frames of all calls below with it.
-
-    It otherwise allocates frames in chunks of 16 kB, and a loop whose calls begin at the end of one maps and unmaps
-    memory at every call: a million times within the numba compiler, four tenths of the time.
-    """
-    part()
-
-
-_with_room.__code__ = _with_room.__code__.replace(co_stacksize=66_000)  # a little over half of a chunk of 1 MB
+        with_room(PARTS[name][1])
 
 
 if __name__ == "__main__":

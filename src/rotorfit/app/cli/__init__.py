@@ -6,6 +6,7 @@ Heavy packages (numpy, numba, rich) are imported by the verb that needs them, so
 import io
 import os
 import sys
+from functools import partial
 from typing import Any
 
 import click
@@ -17,6 +18,7 @@ from rotorfit.app.cli.logs import cards, demo, formats, info, studio
 from rotorfit.app.cli.models import convert, fit, ladder
 from rotorfit.app.cli.scoring import compare, report, validate
 from rotorfit.app.cli.tracking import track
+from rotorfit.core.call_stack import with_room
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.plain import line_of
 from rotorfit.version import __version__
@@ -48,7 +50,7 @@ class _Verbs(click.Group):
             os.environ.setdefault(name, "1")
         try:
             with safe_interrupts():
-                return super().invoke(ctx)
+                return with_room(partial(super().invoke, ctx))
         except RotorfitError as error:
             raise click.ClickException(line_of(error, LONGEST_LINE)) from error
         except KeyboardInterrupt:
