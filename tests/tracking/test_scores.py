@@ -8,13 +8,15 @@ import pytest
 from rotorfit.core.flight_data import Segment
 from rotorfit.tracking.refits import refitted, renewed
 from rotorfit.tracking.replayed import until
-from rotorfit.tracking.scores import BRAKES, Scores, let_go, scores_of
+from rotorfit.tracking.scores import BRAKES, TILTING, Scores, Sticks, scores_of, sticks_of
 from tracked_flights import LAW, changing, known_flight
 
 pytestmark = pytest.mark.flights
 
 LEARNT = 20.0
 """When it changes [s]."""
+
+AT = np.array([12.0])
 
 
 def scored(cause: str, after: float) -> dict[str, Scores]:
@@ -42,21 +44,23 @@ def test_a_payload_or_a_weak_propeller_is_no_gust(cause: str) -> None:
     assert {axis: one.gusts for axis, one in scored(cause, 1.0).items()} == {"x": 0, "z": 0, "yaw": 0}
 
 
-def test_nothing_is_asked_of_the_height_while_a_vehicle_brakes() -> None:
+@pytest.mark.parametrize(("sticks", "lasts"), [(Sticks(let_go=AT), BRAKES), (Sticks(steep=AT), TILTING)])
+def test_nothing_is_asked_of_the_height_while_a_vehicle_brakes_or_tilts(sticks: Sticks, lasts: float) -> None:
     flight = known_flight()
     one = list(refitted(flight, ("z",), LAW, 30.0).estimates.items())
-    (before,), (after,) = scores_of([(one, {})]), scores_of([(one, {})], np.array([12.0]))
-    braking = (after.time >= 12.0) & (after.time < 12.0 + BRAKES)
+    (before,), (after,) = scores_of([(one, {})]), scores_of([(one, {})], sticks)
+    silent = (after.time >= AT[0]) & (after.time < AT[0] + lasts)
 
-    assert not after.rows[braking].any()
-    assert np.array_equal(after.rows[~braking], before.rows[~braking])
+    assert not after.rows[silent].any()
+    assert np.array_equal(after.rows[~silent], before.rows[~silent])
 
 
 def test_an_answer_that_begins_while_the_vehicle_brakes_tells_nothing_of_x_and_y() -> None:
     """Answers begin with their stick: at 3 s, with nothing before it, and at 7.5 s, half a second after a let-go."""
     answers = [(3.0, 6.5), (7.5, 11.0)]
     parts = replace(known_flight(), segments=tuple(Segment(*span) for span in answers))
-    (scores,) = scores_of([(list(refitted(parts, ("x",), LAW, 30.0).estimates.items()), {})], np.array([2.5, 7.0]))
+    sticks = Sticks(let_go=np.array([2.5, 7.0]), steep=np.array([9.0]))
+    (scores,) = scores_of([(list(refitted(parts, ("x",), LAW, 30.0).estimates.items()), {})], sticks)
     told = scores.rows.any(axis=1)
 
     assert told[scores.time < 6.5].all()
@@ -80,4 +84,19 @@ def test_sticks_are_let_go_where_both_become_zero() -> None:
     flight = known_flight()
     part = replace(flight, command_time=np.arange(7.0), command=command.astype(float))
 
-    assert let_go(part).tolist() == [3.0, 6.0]
+    assert sticks_of(part, []).let_go.tolist() == [3.0, 6.0]
+
+
+def test_commands_are_steep_where_they_change_the_acceleration_of_both_axes_at_once() -> None:
+    """Within a tenth of a second, whatever the rate of commands; slower ones are not steep, however large."""
+    flight = known_flight()
+    estimates = refitted(flight, ("x", "y"), LAW, 30.0).estimates
+    unit = 1.0 / np.array([one.optimum.point.gain[one.place] for one in estimates.values()])  # 1 m/s^2
+    rise = np.concatenate([np.linspace(0.0, 1.3, 6), np.full(10, 1.3), np.linspace(1.3, 0.0, 40)])
+    command = np.zeros((rise.size, 4))
+    command[:, :2] = rise[:, None] * unit
+    part = replace(flight, command_time=0.02 * np.arange(rise.size), command=command)
+
+    both = sticks_of(part, [(list(estimates.items()), {})]).steep
+    assert both[0] == pytest.approx(0.1) and both[-1] < 0.15
+    assert not sticks_of(part, [([("x", estimates["x"])], {})]).steep.size

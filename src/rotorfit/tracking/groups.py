@@ -13,7 +13,7 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts
 from rotorfit.tracking.refits import LONGEST, GroupEstimate, doubt_of, renewed
-from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
+from rotorfit.tracking.scores import Doubts, Estimates, Scores, scores_of, sticks_of
 
 BEGINS = 0.1
 """Step by which the beginning of what a look uses of a long regime moves, as a share of `LONGEST`."""
@@ -116,7 +116,8 @@ def scores_of_groups(fitted: Sequence[GroupEstimate], flight: Flight, gusts: int
         flight: The flight so far.
         gusts: As for `scores_of`.
     """
-    return scores_of([part for one in fitted for part in _likelihoods(one)], let_go(flight), gusts)
+    parts = [part for one in fitted for part in _likelihoods(one)]
+    return scores_of(parts, sticks_of(flight, parts), gusts)
 
 
 def _likelihoods(fitted: GroupEstimate) -> list[tuple[Estimates, Doubts]]:

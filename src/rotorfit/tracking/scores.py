@@ -56,6 +56,11 @@ BRAKES = 1.0
 the rest out and an answer begins so soon [s]: many autopilots then brake with the largest tilt, which no law describes.
 """
 
+STEEP, AT_ONCE, TILTING = 1.5, 0.1, 0.5
+"""Change of the acceleration that x and y command together [m/s^2], 9 degrees of tilt, within a time [s], after which z
+and yaw are not tested, and how long they are not [s]: rotors that turn the vehicle over lift and twist it for a moment.
+"""
+
 LASTS = 4.0
 """Length of the matched filters of jolts [s]."""
 
@@ -67,6 +72,19 @@ Estimates = Sequence[tuple[str, Estimate]]
 
 Doubts = Mapping[str, Mapping[str, float]]
 """Axis and quantity to the standard deviation by which it was found to vary under the law, on its own scale."""
+
+
+@dataclass(frozen=True)
+class Sticks:
+    """When the commands of x and y changed so abruptly that other axes feel it.
+
+    Attributes:
+        let_go: Times at which both became zero, shape (n,) [s].
+        steep: Times at which they changed by `STEEP` within `AT_ONCE`, shape (m,) [s].
+    """
+
+    let_go: Array = field(default_factory=lambda: np.empty(0))
+    steep: Array = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -151,22 +169,32 @@ class Scores:
 
 
 def scores_of(
-    parts: Sequence[tuple[Estimates, Doubts]], let_go: Array | None = None, gusts: int | None = None
+    parts: Sequence[tuple[Estimates, Doubts]], sticks: Sticks | None = None, gusts: int | None = None
 ) -> list[Scores]:
     """The scores of the likelihoods of one flight.
 
     Args:
         parts: Estimates of each likelihood, and the doubts about their laws.
-        let_go: Times at which the commands of x and y became zero, shape (n,) [s]; None to ignore them.
+        sticks: Abrupt commands of x and y; None to ignore them.
         gusts: The strength of the gusts now, see `Scores.gusts`; None to judge it.
     """
-    return _in_one_air([_Whitened(*part, np.empty(0) if let_go is None else let_go) for part in parts], gusts)
+    return _in_one_air([_Whitened(*part, sticks or Sticks()) for part in parts], gusts)
 
 
-def let_go(flight: Flight) -> Array:
-    """Times at which the commands of x and y both became zero, shape (n,) [s]."""
-    moving = np.any(flight.command[:, [AXES.index("x"), AXES.index("y")]] != 0, axis=1)
-    return np.asarray(flight.command_time[1:][moving[:-1] & ~moving[1:]])
+def sticks_of(flight: Flight, parts: Sequence[tuple[Estimates, Doubts]]) -> Sticks:
+    """The abrupt commands of x and y in a flight.
+
+    Args:
+        flight: The flight.
+        parts: As for `scores_of`; an axis without an estimate counts as one that commands no acceleration.
+    """
+    time, command = flight.command_time, flight.command[:, [AXES.index("x"), AXES.index("y")]]
+    moving = np.any(command != 0, axis=1)
+    inputs = {axis: one.optimum.point.gain[one.place] for estimates, _ in parts for axis, one in estimates}
+    acceleration = command * [inputs.get("x", 0.0), inputs.get("y", 0.0)]
+    before = np.maximum(np.searchsorted(time, time - AT_ONCE, side="right") - 1, 0)
+    steep = np.linalg.norm(acceleration - acceleration[before], axis=1) > STEEP
+    return Sticks(time[1:][moving[:-1] & ~moving[1:]], time[steep])
 
 
 class _Whitened:
@@ -175,10 +203,10 @@ class _Whitened:
     Args:
         estimates: Estimates of its axes.
         doubts: Doubts about their laws.
-        let_go: Times at which the commands of x and y became zero [s].
+        sticks: Abrupt commands of x and y.
     """
 
-    def __init__(self, estimates: Estimates, doubts: Doubts, let_go: Array) -> None:
+    def __init__(self, estimates: Estimates, doubts: Doubts, sticks: Sticks) -> None:
         first = estimates[0][1]
         (self._rec,), point = first.records, first.optimum.point
         self._estimates, self._doubts = estimates, doubts
@@ -188,7 +216,8 @@ class _Whitened:
         self._levels = np.repeat(point.levels[None], 1 + len(GUST_POWERS), axis=0)
         self._levels[1:, :, 0] += np.log(GUST_POWERS)[:, None]
         rows, innovations, variance = whiten_under(self._rec, self._columns, self._levels)
-        self._valid = np.where(_brakes(self._rec, let_go, estimates[0][0] in TRIMMED), 0.0, 1.0)
+        silent = _jerked if estimates[0][0] in TRIMMED else _begun_braking
+        self._valid = np.where(silent(self._rec, sticks), 0.0, 1.0)
         density = -0.5 * (innovations**2 + np.log(variance)) * self._valid[:, None]
         self._density = density.reshape(len(self._levels), -1).T
         self.scores = self._scored(rows)
@@ -236,14 +265,22 @@ class _Whitened:
         )  # fmt: skip
 
 
-def _brakes(rec: Record, let_go: Array, throughout: bool) -> Mask:
-    """The blocks within `BRAKES` of a let-go, shape (B,): all, or only answers that begin while the vehicle brakes."""
-    if not let_go.size:
-        return np.zeros(rec.count.size, dtype=bool)
-    last = np.searchsorted(let_go, rec.block_time, side="right") - 1
+def _jerked(rec: Record, sticks: Sticks) -> Mask:
+    """The blocks in which a braking or tilting vehicle may lift and twist itself, shape (B,)."""
+    time = rec.block_time
+    return (time < _latest(sticks.let_go, time) + BRAKES) | (time < _latest(sticks.steep, time) + TILTING)
+
+
+def _begun_braking(rec: Record, sticks: Sticks) -> Mask:
+    """The blocks of a braking vehicle in answers that began while it braked, shape (B,)."""
     begun = rec.block_time[np.flatnonzero(rec.fresh)][np.cumsum(rec.fresh) - 1]
-    brakes = (last >= 0) & (rec.block_time < let_go[last] + BRAKES)
-    return brakes if throughout else brakes & (begun > let_go[last])
+    let_go = _latest(sticks.let_go, rec.block_time)
+    return (rec.block_time < let_go + BRAKES) & (begun > let_go)
+
+
+def _latest(events: Array, time: Array) -> Array:
+    """The last of some events until each time [s], both ascending; -inf before the first."""
+    return np.concatenate([[-np.inf], events])[np.searchsorted(events, time, side="right")]
 
 
 def _in_one_air(seen: Sequence[_Whitened], gusts: int | None) -> list[Scores]:
