@@ -268,19 +268,19 @@ class _Whitened:
 def _jerked(rec: Record, sticks: Sticks) -> Mask:
     """The blocks in which a braking or tilting vehicle may lift and twist itself, shape (B,)."""
     time = rec.block_time
-    return (time < _latest(sticks.let_go, time) + BRAKES) | (time < _latest(sticks.steep, time) + TILTING)
+    return np.asarray((time < _latest(sticks.let_go, time) + BRAKES) | (time < _latest(sticks.steep, time) + TILTING))
 
 
 def _begun_braking(rec: Record, sticks: Sticks) -> Mask:
     """The blocks of a braking vehicle in answers that began while it braked, shape (B,)."""
     begun = rec.block_time[np.flatnonzero(rec.fresh)][np.cumsum(rec.fresh) - 1]
     let_go = _latest(sticks.let_go, rec.block_time)
-    return (rec.block_time < let_go + BRAKES) & (begun > let_go)
+    return np.asarray((rec.block_time < let_go + BRAKES) & (begun > let_go))
 
 
 def _latest(events: Array, time: Array) -> Array:
     """The last of some events until each time [s], both ascending; -inf before the first."""
-    return np.concatenate([[-np.inf], events])[np.searchsorted(events, time, side="right")]
+    return np.asarray(np.append(-np.inf, events)[np.searchsorted(events, time, side="right")])
 
 
 def _in_one_air(seen: Sequence[_Whitened], gusts: int | None) -> list[Scores]:
