@@ -107,6 +107,7 @@ def _likelihood(axes: tuple[str, ...], law: str) -> Callable[[], None]:
     """The likelihood of one axis, or of x and y, under a law."""
 
     def part() -> None:
+        """Evaluates it once."""
         from rotorfit.core.laws import START_LEVELS, STRUCTURES
         from rotorfit.estimation.likelihood.block_response import response
         from rotorfit.estimation.likelihood.blocks import record

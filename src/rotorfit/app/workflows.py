@@ -244,6 +244,7 @@ def usable_logs(
     kept: list[list[Flight]] = [[] for _ in models]
 
     def trouble(group: Sequence[LogSpan]) -> str:
+        """Keeps the flights of some logs, or tells in one line why not; empty if kept."""
         try:
             new = [load_flights(group, card, card_from_mapping(each.card.raw, "the model's card")) for each in models]
             for model, flights, more in zip(models, kept, new, strict=True):

@@ -99,6 +99,7 @@ def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
     def row(
         part: str, kind: str, unit: str, of_command: bool, value: float | None, ends: Interval, status: str
     ) -> CoefficientRow:
+        """A row of this axis, with symbol, standard error and the paper's value where its kind has them."""
         symbol = f"g{2 * k + COEFFICIENTS.index(part) + 1}" if part in COEFFICIENTS[:2] else ""
         error = axis.stderr.get(part) if kind != "combination" else None
         paper = papers.get(part) if kind != "parameter" else None

@@ -161,6 +161,7 @@ def restored_axes(
     motions = [cache(partial(motion_of, flight)) for flight in flights]
 
     def held(axis: str) -> bool:
+        """Whether every flight that moves the command of an axis only holds it."""
         k = AXES.index(axis)
         moving = [
             (flight, motion)

@@ -139,6 +139,7 @@ def _flattened(harmonic: Array, phase: Array) -> Array:
     for p in (2, 4, 8, 16, 32):
 
         def norm(phase: Array, p: int = p) -> tuple[float, Array]:
+            """The 2p-norm of the signal, and its gradient."""
             angle = turn + phase
             signal = np.sin(angle).sum(axis=1)
             top = np.max(np.abs(signal))

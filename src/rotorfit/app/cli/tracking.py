@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,8 +114,6 @@ def track(
 ) -> None:
     """Estimate the model while the vehicle flies, and report when it changes. Sends no commands."""
     from rotorfit.app.live.serving import Views
-    from rotorfit.app.terminal import show
-    from rotorfit.app.terminal.tracking import track_view
     from rotorfit.app.workflows import MODEL_MARK, check_destination, check_page
     from rotorfit.core.writing import check_place
     from rotorfit.flying.mission import check_new
@@ -136,42 +135,63 @@ def track(
         check_place(memory)
     earlier = earlier_of(after) if after else None
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
+    asked = _Asked(card, structure, false_alarms, pace, jsonl, earlier, regaining)
     lost = stopped = ""
-    vehicle = str(link or log)
-    with Views(page, foxglove, publish, vehicle, lambda text: click.echo(text, err=True)) as views:
+    with Views(page, foxglove, publish, str(link or log), lambda text: click.echo(text, err=True)) as views:
         if link is not None:
-            result, flight, lost = _listened(
-                link, card, seconds, patience, record, memory, pace or 1.0, structure, false_alarms, jsonl, views,
-                earlier, regaining,
-            )  # fmt: skip
+            result, flight, lost = _listened(link, asked, views, seconds, patience, record, memory)
         else:
-            result, flight, stopped = _replayed(
-                str(log), card, pace, structure, false_alarms, jsonl, views, earlier, regaining
-            )
-        files = _written(result, output) if output else [None] * len(result.regimes)
-        if report and flight:
-            from rotorfit.reporting import write_timeline
-
-            say_kept(write_timeline(result, flight, report, files))
-        if jsonl:
-            click.echo(json.dumps(_end(result, files, report if flight else None), allow_nan=False))
-        else:
-            show(track_view(result))
-            for file in files:
-                if file:
-                    click.echo(f"Model written to {file}.")
-            if output and not any(files):
-                click.echo("No model written: nothing was identified.")
-            if regaining:
-                click.echo(regaining.summary)
-            if report and flight:
-                click.echo(f"Report written to {report}.")
+            result, flight, stopped = _replayed(str(log), asked, views)
+        _told(result, flight, asked, output, report)
     if lost:
         from rotorfit.core.errors import LinkError
 
         raise LinkError(f"{link}: {lost}")
     if stopped:
         raise SystemExit(1)  # all results are complete, but the log was not read to its end
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """How a vehicle is tracked, from a link or a log; see the options of the same names.
+
+    Attributes:
+        earlier: The model of `--after`.
+        regaining: What `--tune` does; None without it.
+    """
+
+    card: str | None
+    structure: Any
+    false_alarms: float
+    pace: float | None
+    jsonl: bool
+    earlier: "Earlier | None"
+    regaining: "Regaining | None"
+
+
+def _told(result: "Track", flight: "Flight | None", asked: _Asked, output: Path | None, report: Path | None) -> None:
+    """Writes models and report, and prints the end."""
+    from rotorfit.app.terminal import show
+    from rotorfit.app.terminal.tracking import track_view
+
+    files = _written(result, output) if output else [None] * len(result.regimes)
+    if report and flight:
+        from rotorfit.reporting import write_timeline
+
+        say_kept(write_timeline(result, flight, report, files))
+    if asked.jsonl:
+        click.echo(json.dumps(_end(result, files, report if flight else None), allow_nan=False))
+        return
+    show(track_view(result))
+    for file in files:
+        if file:
+            click.echo(f"Model written to {file}.")
+    if output and not any(files):
+        click.echo("No model written: nothing was identified.")
+    if asked.regaining:
+        click.echo(asked.regaining.summary)
+    if report and flight:
+        click.echo(f"Report written to {report}.")
 
 
 def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining":
@@ -191,10 +211,7 @@ def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining"
     return regaining_of(path, show_gains, say_kept, earlier)
 
 
-def _replayed(
-    log: str, card: str | None, pace: float | None, structure: Any, false_alarms: float, jsonl: bool, views: "Views",
-    earlier: "Earlier | None", regaining: "Regaining | None",
-) -> tuple["Track", "Flight", str]:  # fmt: skip
+def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight", str]:
     """Tracks a log as if live; the track, the flight, and who ended it early, or an empty string."""
     from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.workflows import load_flight
@@ -203,40 +220,51 @@ def _replayed(
     from rotorfit.tracking.earlier import limits_of_earlier
     from rotorfit.tracking.replayed import tracked
 
-    flight = load_flight(parse_log(log), card)
+    flight = load_flight(parse_log(log), asked.card)
     for note in flight.notes:
         if note.code.startswith("card_"):
             click.echo(f"{log}: {note.text}", err=True)
     for finding in flight.findings:
         if finding.severity != "info":
             click.echo(f"{finding.severity} {finding.code}: {finding.evidence}; {finding.remedy}", err=True)
-    for told in limits_of_earlier(earlier, flight.card) if earlier else ():
+    for told in limits_of_earlier(asked.earlier, flight.card) if asked.earlier else ():
         click.echo(f"{log}: {told}", err=True)
-    begun, show_state = time.monotonic(), _shown(jsonl)
-    if regaining:
-        regaining.listeners.append(views.gains)
+    begun, show_state = time.monotonic(), _shown(asked.jsonl)
+    if asked.regaining:
+        asked.regaining.listeners.append(views.gains)
     with operator_abort() as abort:
 
         def report(state: "Tracked") -> None:
-            while pace and not abort() and (left := state.time / pace - (time.monotonic() - begun)) > 0:
-                time.sleep(min(left, 0.1))
+            """Shows a state when its time has come."""
+            _wait_for(state.time, begun, asked.pace, abort)
             views.state(state, round(state.time * 1e9))
             show_state(state)
-            if regaining:
-                regaining.state(state, round(state.time * 1e9))
+            if asked.regaining:
+                asked.regaining.state(state, round(state.time * 1e9))
 
-        result = tracked(flight, structure, false_alarms, report, earlier, abort, regaining is not None)
+        tuned = asked.regaining is not None
+        result = tracked(flight, asked.structure, asked.false_alarms, report, asked.earlier, abort, tuned)
     if stopped := abort():
         line_cleared()
         click.echo(f"{log}: ended by {stopped} at {result.states[-1].time:.1f} s", err=True)
     return result, flight, stopped
 
 
+def _wait_for(moment: float, begun: float, pace: float | None, abort: "Callable[[], str]") -> None:
+    """Sleeps until a moment of the flight [s], played back since `begun` at some pace, or until an abort."""
+    while pace and not abort() and (left := moment / pace - (time.monotonic() - begun)) > 0:
+        time.sleep(min(left, 0.1))
+
+
 def _listened(
-    link: str, card: str | None, seconds: float | None, patience: float, record: Path | None, memory: Path | None,
-    pace: float, structure: Any, false_alarms: float, jsonl: bool, views: "Views", earlier: "Earlier | None",
-    regaining: "Regaining | None",
-) -> tuple["Track", "Flight | None", str]:  # fmt: skip
+    link: str,
+    asked: _Asked,
+    views: "Views",
+    seconds: float | None,
+    patience: float,
+    record: Path | None,
+    memory: Path | None,
+) -> tuple["Track", "Flight | None", str]:
     """Tracks a link; the track, the remembered part of the flight, and why the link was lost, or an empty string."""
     from rotorfit.app.live.outlets import Outlet, Recording, Remembering
     from rotorfit.app.live.session import card_for_link, track_link, with_recording
@@ -250,27 +278,27 @@ def _listened(
     from rotorfit.tracking.flight_so_far import UNRECORDED
     from rotorfit.tracking.tracker import Tracker
 
-    chosen = card_for_link(link, card)
+    chosen = card_for_link(link, asked.card)
 
     def say(text: str) -> None:
         line_cleared()
         click.echo(f"{link}: {text}", err=True)
 
-    for told in limits_of_earlier(earlier, chosen) if earlier else ():
+    for told in limits_of_earlier(asked.earlier, chosen) if asked.earlier else ():
         say(told)
-    show_state = _shown(jsonl)
+    show_state = _shown(asked.jsonl)
     with operator_abort() as abort:
-        listening = Listening(lambda: open_listener(link, chosen), patience, seconds, pace, abort)
+        listening = Listening(lambda: open_listener(link, chosen), patience, seconds, asked.pace or 1.0, abort)
         path = str(record) if record else UNRECORDED
         with Tracker(
             chosen,
-            structure,
-            false_alarms,
-            after=earlier,
+            asked.structure,
+            asked.false_alarms,
+            after=asked.earlier,
             live=True,
             paced=not listening.live,
             path=path,
-            tuned=regaining is not None,
+            tuned=asked.regaining is not None,
         ) as tracker:
             remembering = Remembering(memory, tracker) if memory else None
             if remembering and remembering.recalled:
@@ -283,13 +311,14 @@ def _listened(
             recording = Recording(record, chosen, link) if record else None
             outlets += [recording] if recording else []
             outlets += [remembering] if remembering else []
-            if regaining:
-                regaining.listeners += [outlet.gains for outlet in outlets]
+            if asked.regaining:
+                asked.regaining.listeners += [outlet.gains for outlet in outlets]
 
             def report(state: "Tracked", now: int) -> None:
+                """Shows a state, and tunes by it."""
                 show_state(state)
-                if regaining:
-                    regaining.state(state, now)
+                if asked.regaining:
+                    asked.regaining.state(state, now)
 
             with shown_line(lambda: line_of(tracker.state())):
                 moving = [*views.moving, *([recording.motion] if recording else [])]
@@ -311,6 +340,7 @@ def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
     before: Tracked | None = None
 
     def report(state: "Tracked") -> None:
+        """Prints a state, compared with the one before."""
         nonlocal before
         if jsonl:
             for line in lines_of(state):

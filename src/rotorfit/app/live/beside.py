@@ -90,6 +90,7 @@ def main() -> None:
         )
 
     def tell(state: Tracked, now: int, summary: str = "") -> None:
+        """Answers with a state, the alarms and gains since the last one, and a summary."""
         if regaining:
             regaining.state(state, now)
         alarms = []

@@ -78,6 +78,7 @@ def track_link(
     states: list[Tracked] = []
 
     def tell(state: Tracked) -> None:
+        """Keeps a state, and hands it to all outlets."""
         if len(states) > KEPT:
             states[:] = [one for number, one in enumerate(states) if number % 2 == 0 or one.alarms]
         states.append(state)

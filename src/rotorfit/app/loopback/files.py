@@ -25,6 +25,7 @@ def static(package: str) -> Callable[[Request], Response]:
     """The endpoint of `/page/{name}`: files of a package's folder `page` (no HTML), and the plotting library."""
 
     def endpoint(request: Request) -> Response:
+        """The file, or a refusal."""
         name = request.path_params["name"]
         if name in UPLOT:
             data = resources.files("rotorfit.reporting").joinpath("uplot", name).read_bytes()

@@ -122,6 +122,7 @@ async def _guarded(app: ASGIApp, scope: Scope, receive: Receive, send: Send, coo
     """Adds security headers and the cookie to an answer; its own content policy is kept."""
 
     async def sent(message: Message) -> None:
+        """Passes on a part of the answer; its first has the headers."""
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             headers.setdefault("content-security-policy", POLICY)

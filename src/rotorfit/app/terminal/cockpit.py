@@ -94,6 +94,7 @@ def shown_line(text: Callable[[], str]) -> Iterator[bool]:
     over = threading.Event()
 
     def run() -> None:
+        """Writes the line again and again, and clears it at the end."""
         with suppress(OSError):  # a terminal that was closed
             while not over.wait(PERIOD):
                 if line := text():

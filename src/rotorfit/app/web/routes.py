@@ -151,6 +151,7 @@ class Studio:
         upload, card = self._upload(request), self._card()
 
         def make() -> Any:
+            """Computes them."""
             flight = self.shelf.flight(upload, card)
             found = findings_of_flight(self.shelf.log(upload), flight)
             told = answers_of(flight).of
@@ -290,6 +291,7 @@ def _drawing(answer: Callable[[Request], Series]) -> Callable[[Request], Respons
     """A route that answers with the window of a series, in bytes."""
 
     def endpoint(request: Request) -> Response:
+        """The window that the query asks for; the headers tell how much of the series it is."""
         series = answer(request)
         start, end, width = window_from(request.query_params, series.time)
         window = window_of(series, start, end, width)
@@ -309,6 +311,7 @@ def _changing(change: Callable[[Request, Any], Any]) -> Callable[[Request], Any]
     """A route that changes the session by a small JSON body."""
 
     async def endpoint(request: Request) -> Response:
+        """Reads a body of bounded size and applies the change."""
         body = b""
         async for chunk in request.stream():
             body += chunk

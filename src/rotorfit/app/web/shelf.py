@@ -45,6 +45,7 @@ class Shelf:
         """
 
         def make() -> Log:
+            """Reads it."""
             path = self._workspace.path_of(upload)
             try:
                 found = read(path)

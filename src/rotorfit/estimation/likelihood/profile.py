@@ -118,34 +118,55 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
     error = float(np.sqrt(optimum.covariance[index, index]))
     low, high = (float(bound[index]) for bound in optimum.point.bounds())
     first = _first_step(optimum.point, index, reach * error)
-    points = [(best, 0.0)]
-    ends = []
-    for side, bound in ((-1.0, low), (1.0, high)):
-        looks = [(best, optimum)]
+    sides = [_Side(records, optimum, index, reach) for _ in range(2)]
+    ends = [
+        _crossing(side.root, side.holds, best, best + sign * first, bound, reach)
+        for side, sign, bound in zip(sides, (-1.0, 1.0), (low, high), strict=True)
+    ]
+    points = dict(point for side in sides for point in side.points()) | {best: 0.0}
+    return Profile((ends[0], ends[1]), tuple(sorted(points.items())), 0.5 * reach**2)
 
-        def root(target: float, looks: list[tuple[float, Optimum]] = looks) -> float:
-            within = [look for look in looks if abs(look[0] - best) <= abs(target - best)]
-            near = min(within, key=lambda look: abs(look[0] - target))[1]
-            there = hold(records, near, index, target)
-            looks.append((target, there))
-            fall = max(height(optimum) - height(there), 0.0)
-            points.append((target, -fall))
-            return float(np.sqrt(2 * fall))
 
-        def holds(inside: float, outside: float, looks: list[tuple[float, Optimum]] = looks) -> bool:
-            near = next(look for place, look in looks if place == inside)
-            there = hold(records, near, index, outside)
-            fall = max(height(optimum) - height(there), 0.0)
-            if np.sqrt(2 * fall) > reach:
-                return True
-            looks[:] = [look for look in looks if abs(look[0] - best) <= abs(inside - best)] + [(outside, there)]
-            points[:] = [point for point in points if (point[0] - inside) * (outside - inside) <= 0] + [
-                (outside, -fall)
-            ]
-            return False
+class _Side:
+    """One side of a profile: the maxima with the parameter held that were climbed to there.
 
-        ends.append(_crossing(root, holds, best, best + side * first, bound, reach))
-    return Profile((ends[0], ends[1]), tuple(sorted(points)), 0.5 * reach**2)
+    Args:
+        records, optimum, index: As for `profile`.
+        reach: Signed root at the end of the interval.
+    """
+
+    def __init__(self, records: Sequence[Record], optimum: Optimum, index: int, reach: float) -> None:
+        self._records, self._free, self._index, self._reach = records, optimum, index, reach
+        self._best = float(optimum.point.flat()[index])
+        self._looks = [(self._best, optimum)]
+
+    def root(self, target: float) -> float:
+        """Signed root of the likelihood ratio at a value, climbed to from the nearest one between it and the best."""
+        within = [look for look in self._looks if abs(look[0] - self._best) <= abs(target - self._best)]
+        near = min(within, key=lambda look: abs(look[0] - target))[1]
+        there = hold(self._records, near, self._index, target)
+        self._looks.append((target, there))
+        return float(np.sqrt(2 * self._fall(there)))
+
+    def holds(self, inside: float, outside: float) -> bool:
+        """Whether a crossing stands: climbed to from inside, the value outside lies beyond the reach, too.
+
+        If not, what was found further out is forgotten: it belongs to a lower maximum.
+        """
+        near = next(look for place, look in self._looks if place == inside)
+        there = hold(self._records, near, self._index, outside)
+        if np.sqrt(2 * self._fall(there)) > self._reach:
+            return True
+        kept = [look for look in self._looks if abs(look[0] - self._best) <= abs(inside - self._best)]
+        self._looks = [*kept, (outside, there)]
+        return False
+
+    def points(self) -> list[tuple[float, float]]:
+        """Values, and how far the log-likelihood lies below its maximum there."""
+        return [(value, -self._fall(there)) for value, there in self._looks]
+
+    def _fall(self, there: Optimum) -> float:
+        return max(height(self._free) - height(there), 0.0)
 
 
 def _first_step(point: Point, index: int, expected: float) -> float:
