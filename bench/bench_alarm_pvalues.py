@@ -1,6 +1,7 @@
 """Are the p-values of the alarms valid? Smallest p-value of every look, in flights in which nothing changes.
 
-    python bench/bench_alarm_pvalues.py [HOURS] [--kinds a,b] [--structure S] [--first N] [--json FILE]
+    python bench/bench_alarm_pvalues.py [HOURS] [--kinds a,b] [--structure S] [--first N]
+                                         [--false-alarms-per-hour N] [--json FILE]
 
 An alarm is raised where the smallest p-value of a look, times the number of contrasts that were tested, falls below
 the share of the promised false-alarm rate that is allotted to one look. So at most a share q of all looks may have such
@@ -109,10 +110,10 @@ class Looks:
         return looked, count
 
 
-def watched(flight: Flight, structure: str) -> tuple[list[dict], list]:
+def watched(flight: Flight, structure: str, rate: float = following.FALSE_ALARMS_PER_HOUR) -> tuple[list[dict], list]:
     """What was seen at each look of a flight, and its alarms."""
     watch = following.looked_together = Looks()
-    alarms = tracked(flight, structure).alarms
+    alarms = tracked(flight, structure, rate).alarms
     return [one for one in watch.seen if one["looks"]], list(alarms)
 
 
@@ -135,6 +136,7 @@ def main() -> None:
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--structure", default="averaged")
     parser.add_argument("--first", type=int, default=0, help="other seeds")
+    parser.add_argument("--false-alarms-per-hour", dest="rate", type=float, default=following.FALSE_ALARMS_PER_HOUR)
     parser.add_argument("--json", type=Path, help="every look, a line a flight")
     given = parser.parse_args()
     print(f"share of looks whose least p-value, times the number looked at, is below {QUANTILES}")
@@ -142,7 +144,7 @@ def main() -> None:
         values, seconds, alarms = [], 0.0, 0
         for name, flight, structure in KINDS[kind](given.hours, given.first, given.structure):
             began = time.process_time()
-            looks, raised = watched(flight, structure)
+            looks, raised = watched(flight, structure, given.rate)
             values += [least(one) for one in looks]
             seconds, alarms = seconds + flight.duration, alarms + len(raised)
             for one in raised:

@@ -1,7 +1,7 @@
 """Which changes of a vehicle does `rotorfit track` detect, how soon, and as what; how soon could they be detected?
 
     python bench/bench_alarms.py [FLIGHTS] [--causes a,b] [--gusts 0.3,1] [--structure S] [--jobs N] [--first SEED]
-                                 [--learning SECONDS] [--json FILE]
+                                 [--learning SECONDS] [--false-alarms-per-hour N] [--json FILE]
 
 Flights of the flight room (see `changing_flights.py`): 6 degrees of freedom, rotors, gusts, a radio; FLIGHTS (default
 2) of each change for each strength of gusts, each of two vehicles (a Bebop 2 by tilts, a Tello by velocities), and each
@@ -91,9 +91,9 @@ class Told:
     early: int
 
 
-def told_of(job: tuple[int, Scenario, Sequence[str], str]) -> list[Told]:
+def told_of(job: tuple[int, Scenario, Sequence[str], tuple[str, float]]) -> list[Told]:
     """Flies a scenario up to its change once, and on from there under each of some changes."""
-    seed, scenario, causes, structure = job
+    seed, scenario, causes, promised = job
     moment = LEARNT + float(np.random.default_rng((seed, 4)).uniform())
     scenario = replace(scenario, time=moment, duration=moment + SLOW + 2.0)
     told, learnt = [], {}
@@ -102,21 +102,21 @@ def told_of(job: tuple[int, Scenario, Sequence[str], str]) -> list[Told]:
         if cause == "limits" and scenario.vehicle == "bebop2":  # slower from the start
             plain = replace(scenario, cause="limits", time=scenario.duration + 1.0)
         if plain not in learnt:
-            learnt[plain] = (changing_flight(seed, plain), *_learnt(changing_flight(seed, plain).flight, structure))
+            learnt[plain] = (changing_flight(seed, plain), *_learnt(changing_flight(seed, plain).flight, *promised))
         base, following, early = learnt[plain]
         flown = changing_flight(seed, replace(scenario, cause=cause))  # type: ignore[arg-type]
         within = SLOW if cause == "battery" else WITHIN
         raised = _of_pose(flown, within) if cause in OF_THE_POSE else None
         raised = raised or _raised(copy.deepcopy(following), flown.flight, moment, within)
-        known = (None, None) if cause in OF_THE_POSE else _knowing(following, base, flown, moment, within)
+        known = (None, None) if cause in OF_THE_POSE else _knowing(following, base, flown, moment, within, promised[1])
         flight = scenario.vehicle, scenario.loop, scenario.gusts, seed
         told.append(Told(cause, *flight, *_outcome(raised, moment), _sized(raised, flown), *known, early))
     return told
 
 
-def _learnt(flight: Flight, structure: str) -> tuple[Following, int]:
+def _learnt(flight: Flight, structure: str, rate: float) -> tuple[Following, int]:
     """The tracker before the change, and how many alarms it has raised."""
-    following, alarms = Following(structure), 0
+    following, alarms = Following(structure, rate), 0
     for part, now in growing(until(flight, LEARNT + 1e-6), following.next_look, GLANCE):
         state = following.follow(part, now)
         alarms += sum(alarm.revises is None for alarm in state.alarms) if state else 0
@@ -183,20 +183,20 @@ def _of_pose(flown: ChangingFlight, within: float) -> tuple[Alarm, Alarm] | None
 
 
 def _knowing(
-    following: Following, base: ChangingFlight, flown: ChangingFlight, moment: float, within: float
+    following: Following, base: ChangingFlight, flown: ChangingFlight, moment: float, within: float, rate: float
 ) -> tuple[float | None, float | None]:
     """When a test that knows the course of the change would have sounded, once a second and at every glance."""
     end = float(np.floor(moment + within))
     seen = list(zip(*(_innovations(following, until(one.flight, end)) for one in (flown, base)), strict=True))
-    first, second = (_sounds(seen, moment, end, every) for every in (EVERY, GLANCE))
+    first, second = (_sounds(seen, moment, end, every, rate) for every in (EVERY, GLANCE))
     return first, second
 
 
-def _sounds(seen: Sequence[tuple[Scores, Scores]], moment: float, end: float, every: float) -> float | None:
+def _sounds(seen: Sequence[tuple[Scores, Scores]], moment: float, end: float, every: float, rate: float) -> float | None:
     """The same for one time between looks [s], from the innovations with and without the change."""
     from scipy.special import ndtri
 
-    threshold = -float(ndtri(FALSE_ALARMS_PER_HOUR * every / 3600.0 / len(WINDOWS)))
+    threshold = -float(ndtri(rate * every / 3600.0 / len(WINDOWS)))
     for now in np.arange(np.ceil(moment / every) * every, end + every / 2, every):
         product = power = 0.0
         for changed, unchanged in seen:
@@ -293,6 +293,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--learning", type=float, default=1.0, help="time constant with which autopilots learn [s]")
+    parser.add_argument("--false-alarms-per-hour", dest="rate", type=float, default=FALSE_ALARMS_PER_HOUR)
     parser.add_argument("--json", type=Path, help="each change, a line; what it holds already is reported, too")
     given = parser.parse_args()
     causes, gusts = given.causes.split(","), [float(one) for one in given.gusts.split(",")]
@@ -300,7 +301,7 @@ def main() -> None:
     if given.json and given.json.exists():
         told = [Told(**json.loads(line)) for line in given.json.read_text().splitlines()]
     jobs = [
-        (seed, one, causes, given.structure)
+        (seed, one, causes, (given.structure, given.rate))
         for seed, one in scenarios(given.flights, gusts, given.first, given.learning)
     ]
     with ProcessPoolExecutor(given.jobs) as pool:

@@ -19,7 +19,7 @@ from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.filter_bank import bank_levels
 from rotorfit.dynamics.free_runs import STATE as RUN
 from rotorfit.dynamics.free_runs import free_runs
-from rotorfit.dynamics.kinematics import seen_in
+from rotorfit.dynamics.kinematics import MeasuredSegment, seen_in
 from rotorfit.dynamics.predictor import Forecast
 from rotorfit.dynamics.start_state import StartState, start_state_from_rows
 
@@ -154,6 +154,9 @@ def predictions(
         yield from _segment_predictions(flight, segment, dynamics, longest, axes, adapt, most)
 
 
+PLANE, SIDE = [0, 1], [2, 3]
+"""Indices in `AXES` of the axes that the filter takes together: x and y; z and yaw."""
+
 Pair = Callable[[Indices, Indices, Array], tuple[Array, Array, StartState | None]]
 """Predicts two axes from some starts: index of the first pose and one past the last (S,), heading on the way (S, E).
 
@@ -190,45 +193,11 @@ def _segment_predictions(
     start, first, last = start[useful], first[useful], last[useful]
     if not start.size:
         return
-    used = (flight.command_time >= segment.start - EDGE) & (flight.command_time <= segment.end + EDGE)
-    steps = distinct_steps(t)
-
-    def pair_of(pair: Sequence[int], yaw: Array) -> Pair:
-        """Two axes by their indices in `AXES`: x and y, rotated by the heading (N,), or z and yaw, with zeros."""
-        if not any(AXES[i] in wanted for i in pair):
-            return _nothing
-        chosen = [axes[i] for i in pair]
-        levels = np.array([axis.levels for axis in chosen]) + seen.rounding[pair, None] * [0.0, 1.0, 0.0, 0.0]
-        members = bank_levels(levels, adapt)
-        law = np.array([axis.law for axis in chosen])
-        filter_law = law.copy()
-        filter_law[:, DAMPING] = np.maximum(law[:, DAMPING], LEAST_FILTER_DAMPING)
-        velocity, tracked, alone = seen.velocity_of(pair)
-        forecast = Forecast(
-            flight.command_time[used],
-            np.ascontiguousarray(flight.command[used][:, pair]),
-            t,
-            np.ascontiguousarray(pose[:, pair]),
-            yaw,
-            *steps,
-            law,
-            filter_law,
-            _origin(chosen, t, pose[:, pair]),
-            members,
-            np.array([axis.trim_variance for axis in chosen]),
-            velocity,
-            tracked,
-            alone,
-        )
-        damping = np.array([axis.damping for axis in chosen])
-
-        def run(first: Indices, last: Indices, future: Array) -> tuple[Array, Array, StartState]:
-            out, at_start, rows = forecast.starts(first, last, future)
-            return out, at_start, start_state_from_rows(rows, members, damping)
-
-        return run
-
-    side, plane = pair_of([2, 3], np.zeros(t.size)), pair_of([0, 1], np.ascontiguousarray(pose[:, 3]))
+    commands = (flight.command_time >= segment.start - EDGE) & (flight.command_time <= segment.end + EDGE)
+    side, plane = (
+        _pair(flight, commands, seen, axes, pair, adapt) if any(AXES[i] in wanted for i in pair) else _nothing
+        for pair in (SIDE, PLANE)
+    )
     turns = "yaw" in dynamics and "yaw" in wanted
     reach = np.arange(int((last - first).max()))
     period, holes = float(np.median(np.diff(t))), np.append(0, np.cumsum(np.diff(t) > LONGEST_GAP))
@@ -245,19 +214,72 @@ def _segment_predictions(
             start=start[some],
             first=first[some],
             last=last[some],
-            predicted=np.stack(
-                [np.concatenate([ahead[..., k : k + 2], beside[..., k : k + 2]], axis=-1) for k in (0, 2)], axis=2
-            ),
-            begin=np.stack(
-                [np.concatenate([ahead_begin[:, k : k + 2], beside_begin[:, k : k + 2]], axis=-1) for k in (0, 2)],
-                axis=1,
-            ),
+            predicted=_of_four_axes(ahead, beside),
+            begin=_of_four_axes(ahead_begin, beside_begin),
             heading=heading,
             period=period,
             holes=holes,
             alone=flight.velocity_only,
             states=(ahead_state, beside_state),
         )
+
+
+def _pair(
+    flight: Flight,
+    commands: Mask,
+    seen: MeasuredSegment,
+    axes: Sequence[AxisDynamics],
+    pair: Sequence[int],
+    adapt: bool,
+) -> Pair:
+    """Predicts two axes from what was seen of a segment, and the commands in it.
+
+    Args:
+        flight: The flight.
+        commands: Which of its commands, shape (M,).
+        seen: Its poses.
+        axes: Dynamics of the four axes.
+        pair: `PLANE`, whose motion turns with the heading, or `SIDE`.
+        adapt: As for `predict_flight`.
+    """
+    chosen = [axes[i] for i in pair]
+    levels = np.array([axis.levels for axis in chosen]) + seen.rounding[pair, None] * [0.0, 1.0, 0.0, 0.0]
+    members = bank_levels(levels, adapt)
+    law = np.array([axis.law for axis in chosen])
+    filter_law = law.copy()
+    filter_law[:, DAMPING] = np.maximum(law[:, DAMPING], LEAST_FILTER_DAMPING)
+    position = np.ascontiguousarray(seen.pose[:, pair])
+    velocity, tracked, alone = seen.velocity_of(pair)
+    forecast = Forecast(
+        flight.command_time[commands],
+        np.ascontiguousarray(flight.command[commands][:, pair]),
+        seen.time,
+        position,
+        np.ascontiguousarray(seen.pose[:, 3]) if pair is PLANE else np.zeros(seen.time.size),
+        *distinct_steps(seen.time),
+        law,
+        filter_law,
+        _origin(chosen, seen.time, position),
+        members,
+        np.array([axis.trim_variance for axis in chosen]),
+        velocity,
+        tracked,
+        alone,
+    )
+    damping = np.array([axis.damping for axis in chosen])
+
+    def run(first: Indices, last: Indices, future: Array) -> tuple[Array, Array, StartState]:
+        """See `Pair`."""
+        out, at_start, rows = forecast.starts(first, last, future)
+        return out, at_start, start_state_from_rows(rows, members, damping)
+
+    return run
+
+
+def _of_four_axes(plane: Array, side: Array) -> Array:
+    """Position and velocity of both pairs, shapes (..., 4), as those of four axes, shape (..., 2, 4)."""
+    parts = [np.concatenate([plane[..., k : k + 2], side[..., k : k + 2]], axis=-1) for k in (0, 2)]
+    return np.stack(parts, axis=-2)
 
 
 def _origin(axes: Sequence[AxisDynamics], t: Array, pose: Array) -> Array:
