@@ -192,7 +192,9 @@ def _knowing(
     return first, second
 
 
-def _sounds(seen: Sequence[tuple[Scores, Scores]], moment: float, end: float, every: float, rate: float) -> float | None:
+def _sounds(
+    seen: Sequence[tuple[Scores, Scores]], moment: float, end: float, every: float, rate: float
+) -> float | None:
     """The same for one time between looks [s], from the innovations with and without the change."""
     from scipy.special import ndtri
 
