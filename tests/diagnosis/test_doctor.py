@@ -654,7 +654,7 @@ def test_coefficients_change(tmp_path: Path) -> None:
     told = said("fit", *log.write(tmp_path))
     found = told["coefficients_change", "z"]
     assert found["severity"] == "warning"
-    tracked = f"`rotorfit track {tmp_path / 'flight.csv'}` finds when it changed, and what"
+    tracked = f"`rotorfit track {tmp_path / 'flight.csv'}`, with the card of this fit, finds when it changed, and what"
     assert {one["remedy"].partition(";")[0] for (_, axis), one in told.items() if axis == "z"} == {tracked}
     first, _, _ = (numbers(part) for part in re.findall(r"s: (.*?) s[;)]", found["evidence"])[:1] * 3)
     gains = [float(gain) for gain in re.findall(r"\d s: ([\d.]+),", found["evidence"])]

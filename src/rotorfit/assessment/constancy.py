@@ -99,8 +99,8 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
         f"input gain, damping and delay of {axis} differ between halves of the flights ({told}): chi-square "
         f"{found.chi_square:.0f} with {found.degrees} degrees of freedom, by chance in {found.probability:.0e}",
         f"the coefficients of {axis} are a mean over what changes; their intervals are of that mean",
-        f"`rotorfit track {log}` finds when it changed, and what; then fit each part by --span; if it raises no alarm, "
-        "look for what drifts: battery, speed range, a clock",
+        f"`rotorfit track {log}`, with the card of this fit, finds when it changed, and what; then fit each part by "
+        "--span; if it raises no alarm, look for what drifts: battery, speed range, a clock",
         axis,
     )
 
