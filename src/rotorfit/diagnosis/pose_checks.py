@@ -243,8 +243,7 @@ def _unit_of_position(flight: Flight, motion: Motion) -> Iterator[Finding]:
             f"{told}; no multirotor keeps more than {FASTEST:g} m/s or {HARDEST:g} m/s^2",
             "input gains of x, y and z are too large by the ratio of the units; damping and delay keep their values",
             f"write {_line_with_unit(flight, position_unit(motion))} in [pose] of the card, and y and z if theirs is "
-            f'the same: "cm" makes the travel {travel / 100:.3g} m, "mm" {travel / 1000:.3g} m; check the unit of time, '
-            "too",
+            f'the same: "cm" makes the travel {travel / 100:.3g} m, "mm" {travel / 1000:.3g} m; check the time, too',
         )
     elif commanded and 0 < travel < SMALLEST:
         yield Finding(
