@@ -19,6 +19,6 @@ def real_flights() -> Path:
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compiles once what nearly all tests need, before the processes that share them out each do it for themselves."""
     if session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput"):
-        from rotorfit.app.first_use import compile_beforehand
+        from rotorfit.app.first_use import TRACKING, compile_beforehand
 
-        compile_beforehand()
+        compile_beforehand(TRACKING)

@@ -9,19 +9,22 @@ from numba.core.dispatcher import Dispatcher
 
 from flights import flown, steps
 from rotorfit.app import first_use
-from rotorfit.app.first_use import PARTS, VALIDATION, compile_beforehand, spread
+from rotorfit.app.first_use import FITTING, PARTS, TRACKING, VALIDATION, compile_beforehand, spread
 from rotorfit.core import parallel
 from rotorfit.dynamics import (
+    disturbance_state,
     general_response,
     general_step,
     kinematics,
     lagged_response,
+    motion_filter,
     predictor,
     response,
     whitening,
 )
 from rotorfit.estimation.fitting import fit
 from rotorfit.simulation.paper_vehicle import Truth
+from rotorfit.tracking.replayed import tracked
 
 
 class Process:
@@ -51,29 +54,29 @@ def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[list[str]]:
 
 
 def test_all_parts_are_compiled_once(started: list[list[str]]) -> None:
-    compile_beforehand()
+    compile_beforehand(TRACKING)
 
     assert sorted(name for names in started for name in names) == sorted(PARTS)
     started.clear()
-    compile_beforehand()
+    compile_beforehand(TRACKING)
     assert not started
 
 
 def test_marks_beside_which_nothing_is_compiled_are_not_believed(started: list[list[str]], tmp_path: Path) -> None:
     for _ in range(2):
         started.clear()
-        compile_beforehand()
+        compile_beforehand(FITTING)
         (tmp_path / "folder" / "kernel.nbi").unlink(missing_ok=True)
         assert started
 
 
 def test_what_was_asked_for_is_compiled_and_later_only_the_rest(started: list[list[str]]) -> None:
-    compile_beforehand(wanted=VALIDATION)
+    compile_beforehand(VALIDATION)
 
     assert sorted(name for names in started for name in names) == sorted(VALIDATION)
     started.clear()
-    compile_beforehand()
-    assert sorted(name for names in started for name in names) == sorted(set(PARTS) - set(VALIDATION))
+    compile_beforehand(FITTING)
+    assert sorted(name for names in started for name in names) == sorted(set(FITTING) - set(VALIDATION))
 
 
 def test_where_nothing_can_be_written_the_fit_goes_on(
@@ -82,7 +85,7 @@ def test_where_nothing_can_be_written_the_fit_goes_on(
     (tmp_path / "file").touch()
     monkeypatch.setattr(first_use, "_mark", lambda part: tmp_path / "file" / part)
 
-    compile_beforehand()
+    compile_beforehand(FITTING)
 
     assert started
 
@@ -95,7 +98,7 @@ def test_where_no_process_can_be_started_the_fit_goes_on(
 
     monkeypatch.setattr(subprocess, "Popen", refused)
 
-    compile_beforehand()
+    compile_beforehand(FITTING)
 
     assert not started
 
@@ -106,7 +109,7 @@ def test_what_is_compiled_for_long_is_told(started: list[list[str]], monkeypatch
     monkeypatch.setattr(parallel, "processors", lambda: 1)
     told: list[str] = []
 
-    compile_beforehand(lambda _, text: told.append(text))
+    compile_beforehand(FITTING, lambda _, text: told.append(text))
 
     assert started
     assert told
@@ -123,13 +126,18 @@ def test_parts_are_spread_over_the_processors(processes: int) -> None:
         assert shares == [["a", "d"], ["b", "c"]]
 
 
-def test_a_fit_compiles_nothing_else() -> None:
-    modules = general_response, general_step, kinematics, lagged_response, predictor, response, whitening
+def test_a_fit_and_a_tracker_compile_nothing_else() -> None:
+    modules = (
+        disturbance_state, general_response, general_step, kinematics, lagged_response, motion_filter, predictor,
+        response, whitening,
+    )  # fmt: skip
     kernels = [one for module in modules for one in vars(module).values() if isinstance(one, Dispatcher)]
     for _, part in PARTS.values():
         part()
     before = {kernel.__name__: len(kernel.signatures) for kernel in kernels}
 
-    fit((flown(Truth(), steps(), 15.0),))
-
+    flight = flown(Truth(), steps(), 15.0)
+    fit((flight,))
+    assert {kernel.__name__: len(kernel.signatures) for kernel in kernels} == before
+    assert any(one.axes["x"].wind is not None for one in tracked(flight, "first_order_delay").states)
     assert {kernel.__name__: len(kernel.signatures) for kernel in kernels} == before

@@ -1,4 +1,4 @@
-"""Compiles the kernels that a fit needs in parallel processes, once after an installation.
+"""Compiles the kernels that a fit or a tracker needs in parallel processes, once after an installation.
 
 numba compiles each kernel when it is first called, one after the other, and caches it on the disk. Here each part calls
 its kernels on a flight of six seconds; the parts are spread over the processors, and the compiled code is then loaded
@@ -30,14 +30,14 @@ PATIENCE = 120.0
 _LOOK = 0.1
 
 
-def compile_beforehand(progress: Progress | None = None, wanted: Sequence[str] | None = None) -> None:
-    """Compiles what fit and validate need, if this installation has not done so yet.
+def compile_beforehand(wanted: Sequence[str], progress: Progress | None = None) -> None:
+    """Compiles what is needed, if this installation has not done so yet.
 
     Args:
+        wanted: Names of `PARTS`: `FITTING`, `VALIDATION` or `TRACKING`.
         progress: Called with a fraction and a text.
-        wanted: Names of `PARTS`; None for all.
     """
-    marks = {name: mark for name in wanted or PARTS if not _compiled(mark := _mark(name))}
+    marks = {name: mark for name in wanted if not _compiled(mark := _mark(name))}
     if not marks or "NUMBA_DISABLE_JIT" in os.environ:
         return
     begun, running = perf_counter(), []
@@ -127,6 +127,25 @@ def _likelihood(axes: tuple[str, ...], law: str) -> Callable[[], None]:
     return part
 
 
+def _motion() -> None:
+    """The motion from pose to pose, and a disturbance, as a tracker follows them."""
+    import numpy as np
+
+    from rotorfit.core.laws import FIRST_ORDER_DELAY, law_of
+    from rotorfit.dynamics.disturbance import distinct_steps
+    from rotorfit.dynamics.disturbance_state import disturbance_states
+    from rotorfit.dynamics.motion_filter import motion_filter
+
+    flight = _flight()
+    commands, poses = (flight.command_time, flight.command), (flight.pose_time, flight.position, flight.yaw)
+    laws = np.array([law_of(FIRST_ORDER_DELAY, 4.0, 1.0, 0.1, {})] * 2)
+    levels, at_rest = np.array([[0.1, 1e-6, 2.5, 0.6]] * 2), np.zeros(2)
+    running = motion_filter(0.0, at_rest, at_rest, 0.0, *commands, laws, levels, np.ones(2, dtype=bool), True)
+    running.follow(*poses, *commands)
+    running.motion(*commands)
+    disturbance_states(*distinct_steps(flight.pose_time), flight.yaw, np.ones(flight.yaw.size), levels[0])
+
+
 def _checks() -> None:
     """The checks before a fit."""
     from rotorfit.diagnosis.command_response import answers_of
@@ -144,11 +163,14 @@ PARTS: Mapping[str, tuple[float, Callable[[], None]]] = {
     "axis": (2.5, _likelihood(("z",), "first_order_delay")),
     "lag": (1.3, _likelihood(("z",), "second_order")),
     "checks": (1.0, _checks),
+    "motion": (7.0, _motion),
 }
 """What is compiled, about how long it takes [s], and what calls it."""
 
+FITTING = "prediction", "general law", "plane", "axis", "lag", "checks"
 VALIDATION = "prediction", "axis", "lag", "checks"
-"""What a validation calls of it."""
+TRACKING = *FITTING, "motion"
+"""What a fit calls of it, what a validation, and what a tracker, which fits, too."""
 
 
 def _flight() -> "Flight":

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from rotorfit.app.first_use import VALIDATION, compile_beforehand
+from rotorfit.app.first_use import FITTING, VALIDATION, compile_beforehand
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.case import UNPROVEN, Case, same_motion
 from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
@@ -178,7 +178,7 @@ def fit_logs(
     prior: bool = False,
 ) -> Fit:
     """Reads logs and fits them together; the model gets its findings, and the accuracy table and priors if wanted."""
-    compile_beforehand(progress)
+    compile_beforehand(FITTING, progress)
     chosen = load_card(card) if isinstance(card, str) else card
     flights = [_diagnosed(*one) for one in _all_flown(logs, chosen, progress=progress)]
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
@@ -228,7 +228,7 @@ def validate_logs(
 
     An axis that a log merely holds is left out if another log, or a flight of `beside`, moves it.
     """
-    compile_beforehand(progress, VALIDATION)
+    compile_beforehand(VALIDATION, progress)
     own = card_from_mapping(model.card.raw, "the model's card")
     flights = tuple(without_held_axes(load_flights(logs, card, own, progress), beside))
     return validate(model, flights, horizons, progress), flights

@@ -12,6 +12,7 @@ from rotorfit.app.cli.options import (
     TUNE,
     Number,
     card_option,
+    compiled_beforehand,
     file_at,
     print_json,
     progress_bar,
@@ -138,6 +139,8 @@ def fly(
 
     if not track and (after or gains is not None):
         raise click.UsageError("--after and --tune are for --track")
+    if track:
+        compiled_beforehand()
     with mission(plan_path, link, output, card, take_off, seed, poses) as wanted:
         if track:
             _check_tracking(wanted.plan.card, after, gains)

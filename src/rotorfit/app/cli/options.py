@@ -189,3 +189,11 @@ def progress_bar() -> Iterator[Progress | None]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar, compiling_announced():
         task = bar.add_task("reading", total=1.0)
         yield lambda fraction, text: bar.update(task, completed=fraction, description=text)
+
+
+def compiled_beforehand() -> None:
+    """Compiles what a tracker needs before it begins: meanwhile a vehicle would fly on."""
+    from rotorfit.app.first_use import TRACKING, compile_beforehand
+
+    with progress_bar() as progress:
+        compile_beforehand(TRACKING, progress)

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorfit.app.cli.options import AFTER, TUNE, Number, card_option, file_at, say_kept, structure_of
+from rotorfit.app.cli.options import (
+    AFTER,
+    TUNE,
+    Number,
+    card_option,
+    compiled_beforehand,
+    file_at,
+    say_kept,
+    structure_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -137,6 +146,7 @@ def track(
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     asked = _Asked(card, structure, false_alarms, pace, jsonl, earlier, regaining)
     lost = stopped = ""
+    compiled_beforehand()
     with Views(page, foxglove, publish, str(link or log), lambda text: click.echo(text, err=True)) as views:
         if link is not None:
             result, flight, lost = _listened(link, asked, views, seconds, patience, record, memory)
