@@ -146,7 +146,6 @@ def track(
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     asked = _Asked(card, structure, false_alarms, pace, jsonl, earlier, regaining)
     lost = stopped = ""
-    compiled_beforehand()
     with Views(page, foxglove, publish, str(link or log), lambda text: click.echo(text, err=True)) as views:
         if link is not None:
             result, flight, lost = _listened(link, asked, views, seconds, patience, record, memory)
@@ -239,6 +238,7 @@ def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight
             click.echo(f"{finding.severity} {finding.code}: {finding.evidence}; {finding.remedy}", err=True)
     for told in limits_of_earlier(asked.earlier, flight.card) if asked.earlier else ():
         click.echo(f"{log}: {told}", err=True)
+    compiled_beforehand()
     begun, show_state = time.monotonic(), _shown(asked.jsonl)
     if asked.regaining:
         asked.regaining.listeners.append(views.gains)
@@ -296,6 +296,7 @@ def _listened(
 
     for told in limits_of_earlier(asked.earlier, chosen) if asked.earlier else ():
         say(told)
+    compiled_beforehand()
     show_state = _shown(asked.jsonl)
     with operator_abort() as abort:
         listening = Listening(lambda: open_listener(link, chosen), patience, seconds, asked.pace or 1.0, abort)
