@@ -110,7 +110,7 @@ class Looks:
         return looked, count
 
 
-def watched(flight: Flight, structure: str, rate: float = following.FALSE_ALARMS_PER_HOUR) -> tuple[list[dict], list]:
+def watched(flight: Flight, structure: str, rate: float) -> tuple[list[dict], list]:
     """What was seen at each look of a flight, and its alarms."""
     watch = following.looked_together = Looks()
     alarms = tracked(flight, structure, rate).alarms

@@ -2,7 +2,8 @@
 
 numba compiles each kernel when it is first called, one after the other, and caches it on the disk. Here each part calls
 its kernels on a flight of six seconds; the parts are spread over the processors, and the compiled code is then loaded
-from the cache. Any other call of a kernel compiles it as usual: this saves time and changes nothing else.
+from the cache. Any other call of a kernel compiles it as usual: this saves time and changes no result, but for rounding
+where an inner function was inlined elsewhere.
 """
 
 import gc

@@ -255,7 +255,7 @@ def _pair(
         np.ascontiguousarray(flight.command[commands][:, pair]),
         seen.time,
         position,
-        np.ascontiguousarray(seen.pose[:, 3]) if pair is PLANE else np.zeros(seen.time.size),
+        np.ascontiguousarray(seen.pose[:, 3]) if pair == PLANE else np.zeros(seen.time.size),
         *distinct_steps(seen.time),
         law,
         filter_law,
