@@ -40,7 +40,7 @@ from rotorfit.core.tracked import Alarm
 from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, REVISED, Following
 from rotorfit.tracking.groups import scores_of_groups
 from rotorfit.tracking.growing_flight import GrowingFlight
-from rotorfit.tracking.refits import renewed
+from rotorfit.tracking.refits import applied
 from rotorfit.tracking.replayed import growing, until
 from rotorfit.tracking.scores import WINDOWS, Scores
 
@@ -145,7 +145,7 @@ def _sized(raised: tuple[Alarm, Alarm] | None, flown: ChangingFlight) -> tuple[i
         true[f"{axis}.delay"] = SLOWER if cause == "delay" else after.delay[a] - before.delay[a]
     if cause in ("picked_up", "dropped"):
         true["z.trim"] = GRAVITY * (flown.before.mass / flown.after.mass - 1)
-    held = [low <= true[name] <= high for name, (low, high) in raised[1].change.items() if name in true]
+    held = [bool(low <= true[name] <= high) for name, (low, high) in raised[1].change.items() if name in true]
     return sum(held), len(held)
 
 
@@ -225,7 +225,7 @@ def _usual(before: np.ndarray, shape: np.ndarray, scores: Scores) -> float:
 def _innovations(following: Following, flight: Flight) -> list[Scores]:
     """Those of a flight under the estimates of a tracker."""
     known = [group.fitted for group in following._groups.values() if group.fitted]
-    return scores_of_groups([renewed(one, flight) for one in known], flight)
+    return scores_of_groups([applied(one, flight) for one in known], flight)
 
 
 def scenarios(flights: int, gusts: Sequence[float], first: int, learning: float) -> list[tuple[int, Scenario]]:

@@ -32,7 +32,7 @@ from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import estimands
-from rotorfit.tracking.following import Following
+from rotorfit.tracking.following import GLANCE, Following
 from rotorfit.tracking.replayed import growing, until
 
 MOMENTS = (5.0, 10.0, 20.0, 40.0)
@@ -77,10 +77,13 @@ def told_of(job: tuple[Design, str]) -> Told:
     flight = flown(design)
     following, held, first, looks, back = Following(structure), {}, {}, [], set()
     begun, alarms, state = time.process_time(), 0, None
-    for part, now in growing(flight, following.next_look):
+    for part, now in growing(flight, following.next_look, GLANCE):
         before = time.process_time()
-        state = following.look(part, now)
+        told = following.follow(part, now)
+        if told is None:  # a glance
+            continue
         looks.append(time.process_time() - before)
+        state, seen = told, part
         alarms += len(state.alarms)
         for axis, known in state.axes.items():
             if known.knowledge == "known":
@@ -90,7 +93,7 @@ def told_of(job: tuple[Design, str]) -> Told:
         if any(abs(now - moment) < 1e-6 for moment in MOMENTS):
             held[now] = _held(design, state)
     cost = (time.process_time() - begun) / flight.duration
-    last, seen = state, part
+    last = state
     state, _ = following.finish(flight, flight.segments[-1].end)
     held[np.inf] = _held(design, state)
     batch, until_then = (fit([one], structure=structure) for one in (flight, seen))

@@ -15,6 +15,7 @@ from rotorfit.files.models import load, save
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 from rotorfit.tracking import following as following_module
 from rotorfit.tracking.following import Following, _Before
+from rotorfit.tracking.groups import Group, recent_groups
 from rotorfit.tracking.refits import (
     REFIT,
     REFIT_SETTLED,
@@ -124,6 +125,21 @@ def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monke
 
     late = [value for now, value in told if now > 13.0]
     assert len(set(late)) >= 3
+
+
+def test_of_a_long_regime_only_the_end_is_tested_by_the_estimate_of_all_of_it(
+    early: GroupEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A longer flight, with a pause in it, stands for hours: 12 s of 30 are tested."""
+    monkeypatch.setattr("rotorfit.tracking.groups.TESTED", 12.0)
+    whole = known_flight()
+    flight = replace(whole, segments=(Segment(whole.segments[0].start, 12.0), Segment(12.5, 29.9)))
+    (tested,) = recent_groups({("z",): Group(("z",), 0.0, early)}, flight, 29.9)
+
+    (record,) = tested.estimates["z"].records
+    assert 29.9 - 1.1 * 12.0 <= record.block_time[0] <= 29.9 - 12.0
+    before, now = early.estimates["z"].optimum.point, tested.estimates["z"].optimum.point
+    assert (now.gain, now.log_damping, now.delay) == (before.gain, before.log_damping, before.delay)
 
 
 def test_an_axis_that_is_no_longer_known_says_until_when_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorfit.core.flight_data import Segment
-from rotorfit.tracking.refits import refitted, renewed
+from rotorfit.tracking.refits import applied, refitted
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.scores import BRAKES, TILTING, Scores, Sticks, scores_of, sticks_of
 from tracked_flights import LAW, changing, known_flight
@@ -24,7 +24,7 @@ def scored(cause: str, after: float) -> dict[str, Scores]:
     room = changing()
     flight = room.changing_flight(2, room.Scenario(cause, gusts=0.3, duration=LEARNT + after, time=LEARNT)).flight
     groups = [refitted(until(flight, LEARNT), axes, LAW, LEARNT) for axes in (("x", "y"), ("z",), ("yaw",))]
-    parts = [(list(renewed(one, flight).estimates.items()), {}) for one in groups]
+    parts = [(list(applied(one, flight).estimates.items()), {}) for one in groups]
     return {one.names[0].partition(".")[0]: one for one in scores_of(parts)}
 
 

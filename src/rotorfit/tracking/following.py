@@ -49,7 +49,7 @@ from rotorfit.tracking.groups import (
     held_axes,
     looks_back,
     quiet_for,
-    renewed_groups,
+    recent_groups,
     scores_of_groups,
 )
 from rotorfit.tracking.instant import changed_when
@@ -270,7 +270,7 @@ class Following:
         before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
         if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in before.groups.values()):
             return None  # no window has a rest that is long enough
-        known = renewed_groups(before.groups, flight, now)
+        known = recent_groups(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)

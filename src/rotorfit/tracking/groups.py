@@ -12,15 +12,19 @@ from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts
-from rotorfit.tracking.refits import LONGEST, GroupEstimate, doubt_of, renewed
+from rotorfit.tracking.refits import LONGEST, GroupEstimate, applied, doubt_of
 from rotorfit.tracking.scores import Doubts, Estimates, Scores, scores_of, sticks_of
 
 BEGINS = 0.1
-"""Step by which the beginning of what a look uses of a long regime moves, as a share of `LONGEST`."""
+"""Step by which the beginning of what a look uses of a long regime moves, as a share of what it uses."""
 
 ENOUGH, FEW = 11.0, 20
 """Time from which on a fit tests whether an axis is only held [s]: `position_loop.LEAST` averages. Before that the test
 is made at each look, with this number of averages."""
+
+TESTED = 120.0
+"""Length of the part of a long regime that is tested for changes [s]: that of the flights on which the promise was
+counted. A change is a matter of the last `scores.WINDOWS`; more of the time before them hardly tells more."""
 
 QUIET = 5.0
 """Time without a new command after which an axis is `holding` [s]: by then it has answered the last one."""
@@ -64,25 +68,30 @@ def held_axes(group: Group, flight: Flight, now: float) -> tuple[str, ...]:
     return restored_axes([part], group.axes, FEW) if part else ()
 
 
-def renewed_groups(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
-    """The estimates of groups, unmoved, applied to the flight so far."""
+def recent_groups(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float) -> list[GroupEstimate]:
+    """The estimates of groups, unmoved, applied to what is tested of the flight so far."""
     out = []
     for group in groups.values():
         if group.fitted is None:
             continue
-        part = group.part(flight, looks_back(group.since, now), now)
+        part = group.part(flight, _last(TESTED, group.since, now), now)
         if part and part.duration >= LEAST_TIME:
-            out.append(renewed(group.fitted, part))
+            out.append(applied(group.fitted, part))
     return out
 
 
 def looks_back(since: float, now: float) -> float:
-    """Time from which the estimates of a look use the flight [s]: at least `LONGEST` back, in a regime that is so long.
+    """Time from which the estimates of a look use the flight [s]: at least `LONGEST` back, in a regime so long."""
+    return _last(LONGEST, since, now)
+
+
+def _last(longest: float, since: float, now: float) -> float:
+    """The time [s] that lies at least `longest` back, in a regime so long; else the regime's start.
 
     It moves in steps: what was learnt of the velocity there holds until the next.
     """
-    step = BEGINS * LONGEST
-    return max(since, step * float(np.floor((now - LONGEST) / step)))
+    step = BEGINS * longest
+    return max(since, step * float(np.floor((now - longest) / step)))
 
 
 def quiet_for(flight: Flight, axis: str, now: float) -> float:

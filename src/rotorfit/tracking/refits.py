@@ -239,21 +239,33 @@ def stepped(fitted: GroupEstimate, flight: Flight, excited: float) -> GroupEstim
     new = renewed(fitted, flight)
     if not new.estimates or not grown(fitted.stepped, excited, GROWN):
         return new
-    levels = (fitted.steps + 1) % LEVELS_EVERY == 0
-    if len({id(one.optimum) for one in new.estimates.values()}) < len(new.estimates):  # x and y share a likelihood
-        one = _moved(next(iter(new.estimates.values())), levels)
-        moved = {axis: replace(each, optimum=one.optimum) for axis, each in new.estimates.items()}
-    else:
-        moved = {axis: _moved(one, levels) for axis, one in new.estimates.items()}
+    moved = _moved(new.estimates, (fitted.steps + 1) % LEVELS_EVERY == 0)
     return replace(new, estimates=moved, steps=fitted.steps + 1, stepped=excited)
 
 
 def renewed(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
-    """The unmoved estimate, applied to the flight so far: each axis to the same kind of parts as its fit.
+    """The estimate, applied to the flight so far, and moved only where new segments need start velocities.
 
     Args:
         fitted: The estimate before.
         flight: The flight so far.
+    """
+    new = applied(fitted, flight)
+    before = {axis: one.optimum.point.start.size for axis, one in fitted.estimates.items()}
+    if all(one.optimum.point.start.size == before[axis] for axis, one in new.estimates.items()):
+        return new
+    return replace(new, estimates=_moved(new.estimates, False))
+
+
+def applied(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
+    """The unmoved estimate with the records of a flight: each axis those of the same kind of parts as its fit.
+
+    Args:
+        fitted: The estimate before.
+        flight: The flight, or the part of it that counts.
+
+    Returns:
+        The estimate; start velocities that it does not know are guesses, and its score is that of before.
     """
     known = _renewed_on(fitted, flight)
     whole = sum(part.duration for part in fitted.fit.flights)
@@ -293,12 +305,19 @@ def _renewed(estimate: Estimate, records: list[Record]) -> Estimate:
     known = point.coefficients + point.trim.size
     starts = np.ones(point.start.size, bool)
     free = np.concatenate([optimum.free[:known], starts, optimum.free[optimum.point.n :]])
-    new = replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
-    return new if point.start.size == optimum.point.start.size else _moved(new, False)  # scores the new starts
+    return replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
 
 
-def _moved(estimate: Estimate, levels: bool) -> Estimate:
-    """An estimate after a step."""
+def _moved(estimates: Mapping[str, Estimate], levels: bool) -> dict[str, Estimate]:
+    """The estimates after a step, in which the levels of the disturbance may move."""
+    if len({id(one.optimum) for one in estimates.values()}) < len(estimates):  # x and y share a likelihood
+        one = _moved_alone(next(iter(estimates.values())), levels)
+        return {axis: replace(each, optimum=one.optimum) for axis, each in estimates.items()}
+    return {axis: _moved_alone(one, levels) for axis, one in estimates.items()}
+
+
+def _moved_alone(estimate: Estimate, levels: bool) -> Estimate:
+    """An estimate after a step of its own likelihood."""
     optimum = estimate.optimum
     moving = optimum.free.copy()
     moving[optimum.point.n :] &= levels
