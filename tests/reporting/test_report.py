@@ -224,6 +224,14 @@ def test_hostile_names_stay_text(training: Flight, flight: Flight, tmp_path: Pat
     assert page.text.count(HOSTILE) >= 8
 
 
+def test_what_is_found_of_several_axes_is_said_once(training: Flight, tmp_path: Path) -> None:
+    alike = [replace(WARNING, axis=axis, evidence=f"the gain of {axis} is not known", effect="") for axis in "xyz"]
+    page = Page(written(tmp_path, replace(known_model(), findings=tuple(alike)), (training,)))
+
+    assert page.text.count("the gain of x, y and z is not known") == 1
+    assert "the gain of y is not known" not in page.text
+
+
 def test_a_path_that_is_no_text_is_written_all_the_same(tmp_path: Path, flight: Flight) -> None:
     lost = replace(flight, path="flight\udcff.bag")
 

@@ -10,7 +10,7 @@ from typing import Any
 from rotorfit.assessment.case import Case
 from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.whiteness import narrows_intervals
-from rotorfit.core.finding import Finding, by_gravity
+from rotorfit.core.finding import Finding, by_gravity, told_together
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
 from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
@@ -180,7 +180,7 @@ def _coefficients(page: Contents) -> dict[str, Any]:
 def _findings(page: Contents) -> dict[str, Any]:
     findings: list[tuple[str, Finding]] = []
     for name, case in zip(page.names, page.cases, strict=True):
-        findings += [(name, finding) for finding in by_gravity(case.model.findings)]
+        findings += [(name, finding) for finding in told_together(by_gravity(case.model.findings))]
     return {"findings": sorted(findings, key=lambda pair: ("error", "warning", "info").index(pair[1].severity))}
 
 
