@@ -445,6 +445,18 @@ def test_a_draft_finds_degrees_that_are_not_wrapped_by_the_motion(tmp_path: Path
     assert "yaw is in degrees by the motion" in text
 
 
+def test_a_draft_finds_degrees_of_a_heading_that_stays_near_zero(tmp_path: Path) -> None:
+    """World commands would explain the motion as well; but no vehicle turns by so many radians."""
+    true = raised(1.0)
+    yaw = np.radians(30) * np.sin(0.5 * T)
+
+    card, text = drafted(true | {"yaw": np.degrees(yaw)}, COMMAND, tmp_path)
+    small, _ = drafted(true | {"yaw": yaw}, COMMAND, tmp_path)
+
+    assert (card.pose["yaw"].unit, small.pose["yaw"].unit) == ("deg", None)
+    assert "too much for any vehicle" in text
+
+
 def test_a_draft_names_the_unit_of_a_position_that_no_vehicle_flies_in_metres(tmp_path: Path) -> None:
     true = raised(1.0)
     for unit, scale in (("cm", 100), ("mm", 1000)):

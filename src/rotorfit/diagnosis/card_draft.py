@@ -19,7 +19,7 @@ from rotorfit.core.writing import write_whole
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.command_response import BETTER, SHARED, Answers, CommandResponse, answers_of
 from rotorfit.diagnosis.frame_checks import height_sign, overturned
-from rotorfit.diagnosis.pose_checks import position_unit
+from rotorfit.diagnosis.pose_checks import degrees_turned, position_unit
 from rotorfit.diagnosis.recognition import (
     Recognised,
     commands_in,
@@ -227,7 +227,7 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     if name:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
-    asked = _better_read(log, _in_the_better_frame(log, _asked(log, found_in(log))))
+    asked = _better_read(log, _in_the_better_frame(log, _in_degrees(log, _asked(log, found_in(log)))))
     found, told = asked.found, asked.answers
     if told is None:
         return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
@@ -286,6 +286,15 @@ def _asked(log: Log, found: DraftContents) -> _Asked:
         return _Asked(found, None, "no command moves")
     pieces = len(flight.segments)
     return _Asked(found, None, f"{flight.duration:.1f} s of commands in {pieces} pieces are too few to decide")
+
+
+def _in_degrees(log: Log, asked: _Asked) -> _Asked:
+    """The draft with a heading in degrees if no vehicle can have turned so fast in radians."""
+    yaw, rate = asked.found.pose.channels.get("yaw"), degrees_turned(asked.motion) if asked.motion else None
+    if yaw is None or yaw.unit or rate is None:
+        return asked
+    why = f"yaw is in degrees by the motion: in radians it turns with {rate:.2g} rad/s (RMS), too much for any vehicle"
+    return _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
 
 
 def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:

@@ -114,6 +114,16 @@ def position_unit(motion: Motion) -> tuple[str, float] | None:
     return unit, speed * UNIT_SCALE[unit]
 
 
+def degrees_turned(motion: Motion) -> float | None:
+    """RMS turn rate of a heading that must be in degrees [deg/s]; None if radians are plausible.
+
+    Args:
+        motion: Motion of the flight with the heading taken in radians.
+    """
+    rate = float(np.sqrt(np.mean(motion.velocity[:, 3] ** 2))) if len(motion.time) else 0.0
+    return rate if rate > FASTEST_TURN else None
+
+
 def _pace(motion: Motion) -> tuple[float, float]:
     """RMS speed [m/s] and acceleration [m/s^2]; 0 for an empty motion."""
     if not len(motion.time):
@@ -211,8 +221,8 @@ def _undone(when: Array, by: Array) -> int:
 
 
 def _unit_of_yaw(motion: Motion) -> Iterator[Finding]:
-    rate = float(np.sqrt(np.mean(motion.velocity[:, 3] ** 2))) if len(motion.time) else 0.0
-    if rate > FASTEST_TURN:
+    rate = degrees_turned(motion)
+    if rate is not None:
         yield Finding(
             "unit_mistake",
             "error",
