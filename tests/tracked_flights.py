@@ -71,10 +71,18 @@ def changing() -> Any:
 
 
 @functools.cache
-def alarms(cause: str, vehicle: str, seed: int = 1, at: float = 25.0, most: float = 10.0) -> Sequence[Alarm]:
+def alarms(
+    cause: str,
+    vehicle: str,
+    seed: int = 1,
+    at: float = 25.0,
+    most: float = 10.0,
+    loop: str = "closed",
+    gusts: float = 0.3,
+) -> Sequence[Alarm]:
     """The first alarm of a flight of the room and its revision, from 8 s before the change to `most` seconds after."""
     room = changing()
-    flight = room.changing_flight(seed, room.Scenario(cause, vehicle, gusts=0.3, duration=at + most, time=at)).flight
+    flight = room.changing_flight(seed, room.Scenario(cause, vehicle, loop, gusts, duration=at + most, time=at)).flight
     following, found = Following(LAW), list[Alarm]()
     for part, now in growing(flight, at - 8.0, GLANCE):
         state = following.follow(part, now)

@@ -1,4 +1,4 @@
-"""The size of a push: its interval holds it, however fast the autopilot learns it, and says more where poses do."""
+"""The size of a push: its interval holds it, however fast the autopilot learns it; and what only looks like a push."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.likelihood import whiten
-from rotorfit.tracking.push import push_interval
+from rotorfit.tracking.push import odds_of_a_push, push_interval
 from rotorfit.tracking.refits import GroupEstimate, refitted
 from rotorfit.tracking.scores import Scores, scores_of
 from tracked_flights import LAW, alarms, known_flight
@@ -58,6 +58,29 @@ def test_the_interval_holds_a_push_however_fast_it_is_learnt(
 
     assert sum(low <= PUSH <= high for low, high in found) >= 0.9 * FLIGHTS
     assert np.median([high for _, high in found]) < 0.4 * PUSH
+
+
+@pytest.mark.parametrize("learns", [0.2, 0.7, 1.7])
+def test_a_push_is_told_from_a_delay(followed: GroupEstimate, scores: Scores, learns: float) -> None:
+    rng, begun = np.random.default_rng(13), float(scores.time[-1]) - AGO
+    pushed = whitened(followed, begun, learns)
+    later = scores.tested[:, scores.names.index("z.delay")] * (scores.time >= begun)
+    later *= np.linalg.norm(pushed) / np.linalg.norm(later)
+    noise = rng.standard_normal((FLIGHTS, pushed.size))
+    odds = [
+        [odds_of_a_push(replace(scores, innovation=one + change), (begun - 0.2, begun + 0.2)) for one in noise]
+        for change in (pushed, later)
+    ]
+
+    assert min(odds[0]) > -3
+    assert max(odds[1]) < -10
+
+
+def test_a_delay_in_still_air_that_looks_like_a_push_is_named_by_the_revision() -> None:
+    first, revised = alarms("delay", "tello", loop="open", gusts=0.0)
+
+    assert (first.cause, revised.cause, revised.axes) == ("thrust", "delay", ("x", "y", "z", "yaw"))
+    assert all(low <= 0.05 <= high for low, high in revised.change.values())
 
 
 def test_a_payload_in_flight_has_the_size_of_its_first_push() -> None:

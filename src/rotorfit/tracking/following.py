@@ -53,7 +53,7 @@ from rotorfit.tracking.groups import (
     scores_of_groups,
 )
 from rotorfit.tracking.instant import changed_when
-from rotorfit.tracking.push import push_interval
+from rotorfit.tracking.push import odds_of_a_push, push_interval
 from rotorfit.tracking.refits import (
     REFIT,
     AxisReport,
@@ -84,6 +84,10 @@ FALSE_ALARMS_PER_HOUR = 0.1
 
 RESTLESS = 0.97
 """Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
+
+VERY_STRONG = 5.0
+"""Log-odds that count as very strong evidence (R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp.
+773-795, section 3.2). Payloads have 9 and more for a push, delays 14 and more against it."""
 
 HEAVIER = "x and y are learnt anew, as their damping is drag over mass"
 
@@ -289,6 +293,8 @@ class Following:
             return None  # the air, not the vehicle
         if not raised and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
+        if raised and best.jolt and _shifted(scored, since):
+            best = likeliest(scored[names], first, (), push=False)
         earlier = raised.looked if raised else {}
         others = [
             (scores, there)
@@ -467,6 +473,11 @@ class Following:
             ahead=motion.ahead,
             ahead_ci95=_around(motion.ahead, motion.ahead_error),
         )
+
+
+def _shifted(scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float]) -> bool:
+    """Whether z and yaw are very strong evidence that what looked like a push was another delay, gain or damping."""
+    return sum(odds_of_a_push(scores, since) for scores in scored.values() if scores.jolts.size) < -VERY_STRONG
 
 
 def _sizes(

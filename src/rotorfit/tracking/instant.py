@@ -43,12 +43,13 @@ def changed_when(scores: Scores, low: float) -> tuple[float, tuple[float, float]
     now = now_of(scores)
     instants = np.arange(low, now.time[-1], SPACING)
     first = np.searchsorted(now.time, instants)
-    products = np.array([_products(now, at) for at in first])
+    shifts = [_shifts(now, at) for at in first]
+    products = np.array([products_of(now, at, each) for at, each in zip(first, shifts, strict=True)])
     known = now.rows.shape[1] - 1
-    log, solution = _log_posterior(products, known)
+    log, solution = log_posterior(products, known)
     best = int(np.argmax(log))
-    products /= _mean_square(now, first[best], solution[best])
-    log, _ = _log_posterior(products, known)
+    products /= mean_square(now, first[best], shifts[best], solution[best])
+    log, _ = log_posterior(products, known)
     share = np.exp(log - log.max())
     early, median, late = instants[np.searchsorted(np.cumsum(share), np.array([0.025, 0.5, 0.975]) * share.sum())]
     return float(median), (float(early) - SLACK, min(float(late) + SLACK, float(now.time[-1])))
@@ -59,31 +60,36 @@ def now_of(scores: Scores) -> Scores:
     return (scores, *scores.under_gusts)[scores.gusts]
 
 
-def jolt_shape(scores: Scores) -> Array:
-    """Whitened position after a jolt, from its instant on, shape (n,)."""
-    return scores.jolts[int(np.searchsorted(scores.time, scores.time[-1] - LASTS)) :, 0]
-
-
 def _shifts(scores: Scores, at: int) -> Array:
     """Sensitivities of the rows from `at` on to shifts that begin there, shape (N - at, P), or (N - at, P + 1)."""
     shifts = scores.tested[at:]
     if not scores.jolts.size:
         return shifts
-    shape = jolt_shape(scores)
+    shape = scores.jolts[int(np.searchsorted(scores.time, scores.time[-1] - LASTS)) :, 0]
     push = np.zeros(len(shifts))
     push[: shape.size] = PUSH * shape[: push.size]
     return np.column_stack([shifts, push])
 
 
-def _products(scores: Scores, at: int) -> Array:
-    """Inner products of the innovations, of the columns of X and of those of Z, for a change at a row."""
-    shifts = _shifts(scores, at)
-    across = scores.rows[at:].T @ shifts
+def products_of(scores: Scores, at: int, shifts: Array) -> Array:
+    """Inner products of the innovations, of the columns of X and of those of Z, for a change at a row.
+
+    Args:
+        scores: Those of one likelihood.
+        at: The row.
+        shifts: Z from that row on, in standard deviations of its parameters, shape (n, P); zero after n rows.
+    """
+    across = scores.rows[at : at + len(shifts)].T @ shifts
     return np.block([[scores.products, across], [across.T, shifts.T @ shifts]])
 
 
-def _log_posterior(products: Array, known: int) -> tuple[Array, Array]:
-    """Log-density of each instant, up to a constant, and the solution b, s; the first `known` have a flat prior."""
+def log_posterior(products: Array, known: int) -> tuple[Array, Array]:
+    """Log-density of each change, up to a constant of the regime, and its solution b, s.
+
+    Args:
+        products: From `products_of`, for each change, shape (n, 1 + Q, 1 + Q).
+        known: Number of columns of X: their b has a flat prior.
+    """
     normal, right = products[:, 1:, 1:].copy(), products[:, 1:, 0]
     flat, shifted = np.arange(known), np.arange(known, right.shape[1])
     normal[:, flat, flat] += FLAT * normal[:, flat, flat].max(axis=1, keepdims=True) + np.finfo(float).tiny
@@ -93,9 +99,9 @@ def _log_posterior(products: Array, known: int) -> tuple[Array, Array]:
     return np.asarray(-0.5 * squares - 0.5 * np.linalg.slogdet(normal)[1]), np.asarray(solution)
 
 
-def _mean_square(scores: Scores, at: int, solution: Array) -> float:
-    """Mean square of the residuals before or after a change, the larger; at least 1."""
+def mean_square(scores: Scores, at: int, shifts: Array, solution: Array) -> float:
+    """Mean square of the residuals before or after a change, the larger; at least 1. Arguments as above."""
     known = scores.rows.shape[1] - 1
     left = scores.innovation - scores.rows[:, 1:] @ solution[:known]
-    left[at:] -= _shifts(scores, at) @ solution[known:]
+    left[at : at + len(shifts)] -= shifts @ solution[known:]
     return max(1.0, *(float(np.mean(part**2)) for part in np.split(left, [at]) if part.size > solution.size))

@@ -9,23 +9,22 @@ where X has the sensitivities of all rows to what the regime leaves unknown, b, 
 whitened position after such a push. For each instant and T the posterior of a is normal, and the evidence weighs it;
 the interval is that of the mixture. So where a second of poses hardly tells T, the interval allows for it.
 
-h(T) follows from the matched filter of the jolts, which has T = `FADES`: whitening is linear and stays the same from
-second to second, so h' + h / T, the answer to a sudden velocity, is the same for every T, and
-
-    h(T) = h(F) + (1 / F - 1 / T) (exp(-t / T) * h(F)),    F = `FADES`, * the convolution.
+Was it a push at all? A delay that comes in still air pushes, too, as long as one command acts. The evidence of a push
+is compared with that of shifts of the coefficients from the same instants on, as in `instant`. There the push need not
+fade exactly so: it has the derivative of h(T) by log T beside it.
 
 Source: the conjugate normal posterior, and its mixture over a grid of nuisance parameters, as in A. Gelman et al.,
-Bayesian Data Analysis, 3rd ed. (2013), sections 2.5 and 3.1.
+Bayesian Data Analysis, 3rd ed. (2013), sections 2.5 and 3.1; odds of two models as in R. E. Kass, A. E. Raftery, J.
+Amer. Statist. Assoc. 90 (1995), pp. 773-795.
 """
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.signal import lfilter
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from rotorfit.core.frames import Array
-from rotorfit.tracking.instant import FLAT, SPACING, jolt_shape, now_of
-from rotorfit.tracking.scores import EXPECTED, FADES, Scores
+from rotorfit.tracking.instant import FLAT, SPACING, log_posterior, mean_square, now_of, products_of
+from rotorfit.tracking.scores import EXPECTED, Scores
 
 LEARNS = np.geomspace(0.05, 4.0, 20)
 """Time constants with which an autopilot may learn a push [s], all equally likely by their logarithm: from a thrust
@@ -36,6 +35,9 @@ LARGE = 10.0
 
 SHAPE = 0.2
 """Relative standard deviation of a push because it does not fade exactly as exp(-t / T)."""
+
+BENDS = 0.5
+"""Standard deviation of log T within one push: an autopilot with an integrator learns too much before it has learnt."""
 
 ENDS = 0.025, 0.975
 """Quantiles at the ends of an interval."""
@@ -48,52 +50,73 @@ def push_interval(scores: Scores, since: tuple[float, float]) -> tuple[float, fl
         scores: Those of z or of yaw.
         since: The interval of its instant [s].
     """
-    now = now_of(scores)
-    end = min(since[1], float(now.time[-1]) - SPACING)
-    first = np.searchsorted(now.time, np.arange(min(since[0], end), end + 0.5 * SPACING, SPACING))
-    shapes = _shapes(now)
-    product, power = np.array([_told(now, shapes, int(at)) for at in np.unique(first)]).transpose(1, 0, 2)
+    now, instants = now_of(scores), _instants(scores, since)
+    shapes = now.pushed(instants, LEARNS)
+    product, power = _told(now, shapes)
     noise = 1.0
     for _ in range(2):
         precision = power / noise + LARGE**-2
         mean = product / noise / precision
         log = 0.5 * mean**2 * precision - 0.5 * np.log(precision)
         best = np.unravel_index(int(np.argmax(log)), log.shape)
-        noise = _mean_square(now, shapes[:, best[1]], int(np.unique(first)[best[0]]), float(mean[best]))
+        noise = _mean_square(now, float(instants[best[0]]), mean[best] * shapes[best])
     weight = np.exp(log - log.max())
     return _quantiles(weight / weight.sum(), mean, np.sqrt(1 / precision + (SHAPE * mean) ** 2))
 
 
-def _shapes(scores: Scores) -> Array:
-    """The whitened position after a push, from its instant on, for each of `LEARNS`, shape (n, T)."""
-    shape = jolt_shape(scores)
-    step = float(np.median(np.diff(scores.time)))
-    out = []
-    for learns in LEARNS:
-        kept = np.exp(-step / learns)  # the convolution, exact for a shape that is linear between two rows
-        late = learns**2 * (1 - kept) / step
-        faded = lfilter([learns - late, late - learns * kept], [1.0, -kept], shape)
-        out.append(shape + (1 / FADES - 1 / learns) * faded)
-    return np.transpose(out)
+def odds_of_a_push(scores: Scores, since: tuple[float, float]) -> float:
+    """Logarithm of the odds of a push against shifts of the coefficients; equal beforehand.
+
+    Both are whitened by the filter of the regime: the strength of the gusts now is judged from innovations that the
+    change has made large.
+
+    Args:
+        scores: Those of z or of yaw.
+        since: The interval of the instant [s].
+    """
+    instants, known = _instants(scores, since), scores.rows.shape[1] - 1
+    shapes = LARGE * scores.pushed(instants, LEARNS)
+    pushes = np.stack([shapes, BENDS * np.gradient(shapes, np.log(LEARNS), axis=1)], axis=-1)
+    first = [int(at) for at in np.searchsorted(scores.time, instants)]
+    changes = (
+        [(at, scores.tested[at:]) for at in dict.fromkeys(first)],
+        [(at, push[at:]) for at, each in zip(first, pushes, strict=True) for push in each],
+    )
+    products = [np.array([products_of(scores, *one) for one in each]) for each in changes]
+    squares = []
+    for each, product in zip(changes, products, strict=True):
+        log, solution = log_posterior(product, known)
+        best = int(np.argmax(log))
+        squares.append(mean_square(scores, *each[best], solution[best]))
+    shifted, pushed = (log_posterior(product / min(squares), known)[0] for product in products)
+    return _mean_evidence(pushed) - _mean_evidence(shifted)
 
 
-def _told(scores: Scores, shapes: Array, at: int) -> tuple[Array, Array]:
-    """Inner products of pushes at a row with the innovations, and with themselves, less what X explains, shape (T,)."""
-    late = scores.rows[at : at + len(shapes)]
-    pushed = shapes[: len(late)]
+def _mean_evidence(log: Array) -> float:
+    """Logarithm of the mean of some evidences."""
+    return float(logsumexp(log)) - float(np.log(log.size))
+
+
+def _instants(scores: Scores, since: tuple[float, float]) -> Array:
+    """Instants within an interval at which a change may have begun, shape (I,) [s]."""
+    end = min(since[1], float(scores.time[-1]) - SPACING)
+    return np.arange(min(since[0], end), end + 0.5 * SPACING, SPACING)
+
+
+def _told(scores: Scores, shapes: Array) -> tuple[Array, Array]:
+    """Inner products of pushes with the innovations, and with themselves, less what X explains, shape (I, T)."""
     normal, right = scores.products[1:, 1:], scores.products[1:, 0]
     ridge = FLAT * float(normal.diagonal().max()) + np.finfo(float).tiny
-    across = late[:, 1:].T @ pushed
-    explained = np.linalg.solve(normal + ridge * np.eye(len(normal)), np.column_stack([right, across]))
-    product = late[:, 0] @ pushed - across.T @ explained[:, 0]
-    return product, np.maximum((pushed**2).sum(axis=0) - (across * explained[:, 1:]).sum(axis=0), 0.0)
+    across = shapes @ scores.rows
+    explained = np.linalg.solve(normal + ridge * np.eye(len(normal)), across[:, :, 1:, None])[:, :, :, 0]
+    power = (shapes**2).sum(axis=2) - (across[:, :, 1:] * explained).sum(axis=2)
+    return across[:, :, 0] - explained @ right, np.maximum(power, 0.0)
 
 
-def _mean_square(scores: Scores, shape: Array, at: int, push: float) -> float:
-    """Mean square of the innovations from a row on, less a push there; at least 1, and that before the row."""
-    late = scores.innovation[at : at + shape.size]
-    left = late - push * shape[: late.size]
-    return max(1.0, *(float(np.mean(part**2)) for part in (scores.innovation[:at], left) if part.size > 1))
+def _mean_square(scores: Scores, begun: float, push: Array) -> float:
+    """Mean square of the innovations from an instant on, less a push then; at least 1, and that before the instant."""
+    parts = np.split(scores.innovation - push, [int(np.searchsorted(scores.time, begun))])
+    return max(1.0, *(float(np.mean(part**2)) for part in parts if part.size > 1))
 
 
 def _quantiles(weight: Array, mean: Array, error: Array) -> tuple[float, float]:

@@ -5,9 +5,9 @@ move the height as a payload would. Every likelihood is therefore also evaluated
 seconds select the strength that explains them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -101,6 +101,8 @@ class Scores:
         doubt: Standard deviation by which tests of the law found it to vary without a change, in that unit, shape (P,).
         jolts: Whitened position of an axis of `TRIMMED` after a jolt, and after two kinds of wrong poses, see `_jolts`,
             shape (N, 3); shape (N, 0) for other axes.
+        pushed: Gives the whitened positions of an axis of `TRIMMED` after pushes, from their instants, shape (I,), and
+            the time constants with which they fade, shape (T,) [s]: in the unit of the jolts, shape (I, T, N).
         density: Log-density of each row under gusts as strong as in the regime, and under each of `GUST_POWERS`, up to
             a constant, shape (N, 1 + L).
         under_gusts: The scores under stronger gusts, up to the strongest that the last seconds may have had.
@@ -117,6 +119,7 @@ class Scores:
     scale: Array
     doubt: Array
     jolts: Array
+    pushed: Callable[[Array, Array], Array]
     density: Array
     under_gusts: "tuple[Scores, ...]" = ()
     gusts: int = 0
@@ -220,17 +223,26 @@ class _Whitened:
         self._valid = np.where(silent(self._rec, sticks), 0.0, 1.0)
         density = -0.5 * (innovations**2 + np.log(variance)) * self._valid[:, None]
         self._density = density.reshape(len(self._levels), -1).T
-        self.scores = self._scored(rows)
+        self.scores = self._scored(rows, self._levels[0])
 
     def under(self, gusts: int, air: Array) -> Scores:
         """The scores, given the strength of gusts that all axes show, and its evidence (see `Scores`)."""
         now = float(self.scores.time[-1])
         strongest = max(gusts, *(int(np.argmax(self.scores.gust_likelihood(now - window))) for window in WINDOWS))
-        rows = (whiten(self._rec, self._columns, levels)[0] for levels in self._levels[1 : strongest + 1])
-        return replace(self.scores, under_gusts=tuple(map(self._scored, rows)), gusts=gusts, air=air)
+        stronger = self._levels[1 : strongest + 1]
+        under = tuple(self._scored(whiten(self._rec, self._columns, levels)[0], levels) for levels in stronger)
+        return replace(self.scores, under_gusts=under, gusts=gusts, air=air)
 
-    def _scored(self, rows: Array) -> Scores:
-        """Scores from whitened columns, shape (B, C, K)."""
+    def _pushed(self, levels: Array, instants: Array, fades: Array) -> Array:
+        """See `Scores.pushed`, under some levels."""
+        (_, estimate), *_ = self._estimates
+        t = self._rec.block_time[:, None, None] - instants[:, None]
+        after = EXPECTED["trim"] * _after_a_push(estimate, t, fades)
+        rows = whiten(self._rec, after.reshape(t.shape[0], -1, 1), levels)[0][:, :, 0]
+        return np.asarray((rows * self._valid[:, None]).T.reshape(instants.size, fades.size, -1))
+
+    def _scored(self, rows: Array, levels: Array) -> Scores:
+        """Scores from whitened columns, shape (B, C, K), under some levels."""
         point, K = self._estimates[0][1].optimum.point, rows.shape[2]
         if not self._valid.all():
             valid = np.ones(rows.shape[:2])
@@ -261,7 +273,7 @@ class _Whitened:
         time = np.repeat(self._rec.block_time, K)
         return Scores(
             time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale),
-            np.array(doubt), columns[:, start + K :], self._density,
+            np.array(doubt), columns[:, start + K :], partial(self._pushed, levels), self._density,
         )  # fmt: skip
 
 
@@ -314,9 +326,14 @@ def _jolts(rec: Record, estimates: Sequence[tuple[str, Estimate]]) -> Array:
     t = rec.block_time - (rec.block_time[-1] - LASTS)
     if axis not in TRIMMED or t[0] > -LASTS:
         return np.empty((rec.count.size, 0, len(rec.axes)))
-    b, fade = float(np.exp(estimate.optimum.point.log_damping[estimate.place])), 1.001 / FADES
-    later = np.maximum(t, 0.0)
-    rise = (-np.expm1(-fade * later) / fade + np.expm1(-b * later) / b) / (b - fade)
     first = int(np.searchsorted(t, 0.0))
-    columns = np.column_stack([EXPECTED["trim"] * rise, np.arange(t.size) == first, np.arange(t.size) >= first])
+    rise = EXPECTED["trim"] * _after_a_push(estimate, t, np.array(FADES))
+    columns = np.column_stack([rise, np.arange(t.size) == first, np.arange(t.size) >= first])
     return np.asarray(columns[:, :, None])
+
+
+def _after_a_push(estimate: Estimate, t: Array, fades: Array) -> Array:
+    """Position at times t after an acceleration of 1 that fades as exp(-t / `fades`), v' = -b v + a; zero before."""
+    b, rate = float(np.exp(estimate.optimum.point.log_damping[estimate.place])), 1.001 / fades
+    later = np.maximum(t, 0.0)
+    return np.asarray((-np.expm1(-rate * later) / rate + np.expm1(-b * later) / b) / (b - rate))
