@@ -80,6 +80,8 @@ def test_a_delay_in_still_air_that_looks_like_a_push_is_named_by_the_revision() 
     first, revised = alarms("delay", "tello", loop="open", gusts=0.0)
 
     assert (first.cause, revised.cause, revised.axes) == ("thrust", "delay", ("x", "y", "z", "yaw"))
+    assert first.confidence < 0.9 < revised.confidence
+    assert "or it was no push" in first.why
     assert all(low <= 0.05 <= high for low, high in revised.change.values())
 
 

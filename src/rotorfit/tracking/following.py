@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import expit
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
@@ -85,9 +86,15 @@ FALSE_ALARMS_PER_HOUR = 0.1
 RESTLESS = 0.97
 """Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
 
+PUSHES = ("payload", "thrust")
+"""Causes that push by themselves."""
+
+WORTH_SAYING = 0.01
+"""Least share of the evidence that is told."""
+
 VERY_STRONG = 5.0
 """Log-odds that count as very strong evidence (R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp.
-773-795, section 3.2). Payloads have 9 and more for a push, delays 14 and more against it."""
+773-795, section 3.2)."""
 
 HEAVIER = "x and y are learnt anew, as their damping is drag over mass"
 
@@ -293,7 +300,8 @@ class Following:
             return None  # the air, not the vehicle
         if not raised and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
-        if raised and best.jolt and _shifted(scored, since):
+        odds = _odds_of_a_push(scored, since) if best.jolt else 0.0
+        if raised and odds < -VERY_STRONG:
             best = likeliest(scored[names], first, (), push=False)
         earlier = raised.looked if raised else {}
         others = [
@@ -302,6 +310,8 @@ class Following:
             if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
         ]
         named = diagnosis([(scored[names], best), *others])
+        if best.jolt and named.cause in PUSHES:
+            named = _unless_shifted(named, odds)
         heavier = [axis for axis in flight.axes if named.cause == "payload" and is_drag(flight.card, axis)]
         alarm = Alarm(
             time=now,
@@ -475,16 +485,25 @@ class Following:
         )
 
 
-def _shifted(scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float]) -> bool:
-    """Whether z and yaw are very strong evidence that what looked like a push was another delay, gain or damping."""
-    return sum(odds_of_a_push(scores, since) for scores in scored.values() if scores.jolts.size) < -VERY_STRONG
+def _odds_of_a_push(scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float]) -> float:
+    """Logarithm of the odds that z and yaw were pushed, against other coefficients of theirs since then."""
+    return sum(odds_of_a_push(scores, since) for scores in scored.values() if scores.jolts.size)
+
+
+def _unless_shifted(named: Diagnosis, odds: float) -> Diagnosis:
+    """A push as its cause, less the share of the evidence for other coefficients."""
+    share = float(expit(-odds))
+    doubt = f"; or it was no push but another delay, gain or damping, with {100 * share:.0f} % of the evidence"
+    return replace(
+        named, confidence=(1 - share) * named.confidence, why=named.why + (doubt if share >= WORTH_SAYING else "")
+    )
 
 
 def _sizes(
     named: Diagnosis, scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float]
 ) -> Mapping[str, tuple[float, float]]:
     """The intervals of a change; a push has that of its first acceleration."""
-    if named.cause not in ("payload", "thrust"):
+    if named.cause not in PUSHES:
         return named.change
     axes = {name: next(scores for names, scores in scored.items() if name in names) for name in named.change}
     return {name: push_interval(scores, since) for name, scores in axes.items()}
