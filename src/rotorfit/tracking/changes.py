@@ -71,6 +71,9 @@ CORRELATED = 0.5
 TOGETHER = 0.5
 """Changes of several axes within this time count as one [s]."""
 
+LEAST_WINDOW = WINDOWS[0]
+"""Shortest window that tells which coefficients shifted [s]: a shorter one takes one shift for another."""
+
 STEP = 0.2
 """Grid spacing of the time of a change [s]."""
 
@@ -524,7 +527,7 @@ def at_once(scores: Scores, looked: Sequence[Contrast], change: Contrast) -> Con
     return nearest or contrast(scores, change.since)
 
 
-def likeliest(scores: Scores, found: Contrast, looked: Sequence[Contrast], push: bool = True) -> Contrast:
+def likeliest(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> Contrast:
     """The contrast that shows a change best: its window begins when the vehicle changed, or it is a push.
 
     A contrast along the direction of another typical change tells nothing of the others: it would name its own cause.
@@ -533,13 +536,11 @@ def likeliest(scores: Scores, found: Contrast, looked: Sequence[Contrast], push:
         scores: Those of the likelihood that shows the change.
         found: The contrast that found it.
         looked: The contrasts of the present look.
-        push: Whether it may be a push, if there is anything else.
     """
     now = float(scores.time[-1])
-    end = now - WINDOWS[0] + STEP  # a shorter window takes one shift for another
+    end = now - LEAST_WINDOW + STEP
     tried = [one for t in np.arange(earliest(scores, found), end, STEP) if (one := contrast(scores, float(t)))]
     near = [one for one in (found, *looked) if abs(one.since - found.since) < TOGETHER and pushes(scores.names, one)]
-    near = near if push or not tried else []
     return max((*tried, *near) or (found,), key=lambda one: one.statistic - 2 * one.directions)
 
 

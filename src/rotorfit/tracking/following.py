@@ -29,11 +29,13 @@ from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import Diagnosis, diagnosis
 from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
+    LEAST_WINDOW,
     NEW,
     Contrast,
     at_once,
     calm,
     compares,
+    contrast,
     earliest,
     in_any_air,
     likeliest,
@@ -300,18 +302,10 @@ class Following:
             return None  # the air, not the vehicle
         if not raised and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
-        odds = _odds_of_a_push(scored, since) if best.jolt else 0.0
+        odds = _odds_of_a_push(scored, since) if best.jolt else np.inf
         if raised and odds < -VERY_STRONG:
-            best = likeliest(scored[names], first, (), push=False)
-        earlier = raised.looked if raised else {}
-        others = [
-            (scores, there)
-            for other, scores in scored.items()
-            if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
-        ]
-        named = diagnosis([(scored[names], best), *others])
-        if best.jolt and named.cause in PUSHES:
-            named = _unless_shifted(named, odds)
+            best = contrast(scored[names], min(when, now - LEAST_WINDOW)) or best
+        named = _diagnosed(scored, names, best, looked, raised.looked if raised else {}, odds)
         heavier = [axis for axis in flight.axes if named.cause == "payload" and is_drag(flight.card, axis)]
         alarm = Alarm(
             time=now,
@@ -490,13 +484,35 @@ def _odds_of_a_push(scored: Mapping[tuple[str, ...], Scores], since: tuple[float
     return sum(odds_of_a_push(scores, since) for scores in scored.values() if scores.jolts.size)
 
 
-def _unless_shifted(named: Diagnosis, odds: float) -> Diagnosis:
-    """A push as its cause, less the share of the evidence for other coefficients."""
+def _diagnosed(
+    scored: Mapping[tuple[str, ...], Scores],
+    names: tuple[str, ...],
+    best: Contrast,
+    looked: Mapping[tuple[str, ...], Sequence[Contrast]],
+    earlier: Mapping[tuple[str, ...], Sequence[Contrast]],
+    odds: float,
+) -> Diagnosis:
+    """Names a change by the contrast that shows it best, and what the other likelihoods show then.
+
+    Args:
+        scored: Scores of each likelihood, by their names.
+        names: Those of the likelihood that shows it.
+        best: Its contrast.
+        looked: All contrasts of this look, likewise.
+        earlier: Those of the look that raised the alarm.
+        odds: Logarithm of the odds of a push, from which follows the share of the evidence for other coefficients.
+    """
+    others = [
+        (scores, there)
+        for other, scores in scored.items()
+        if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
+    ]
+    named = diagnosis([(scored[names], best), *others])
     share = float(expit(-odds))
-    doubt = f"; or it was no push but another delay, gain or damping, with {100 * share:.0f} % of the evidence"
-    return replace(
-        named, confidence=(1 - share) * named.confidence, why=named.why + (doubt if share >= WORTH_SAYING else "")
-    )
+    if not best.jolt or named.cause not in PUSHES or share < WORTH_SAYING:
+        return named
+    doubt = f"or it was no push but another delay, gain or damping, with {100 * share:.0f} % of the evidence"
+    return replace(named, confidence=(1 - share) * named.confidence, why=f"{named.why}; {doubt}")
 
 
 def _sizes(
