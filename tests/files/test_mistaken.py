@@ -92,7 +92,9 @@ def test_what_is_of_no_known_kind_is_left_to_the_reader(content: bytes, tmp_path
     ("words", "told"),
     [
         ("validate PLAN LOG", "is a plan, not a model: `rotorfit fly {plan} --link sim -o flight.mcap` flies it"),
-        ("validate LOG MODEL", "is a log, not a model: `rotorfit fit {log} -o model.json` makes a model of it"),
+        ("validate LOG LOG", "is a log, not a model: `rotorfit fit {log} -o model.json` makes a model of it"),
+        ("validate LOG MODEL", "the model comes first: `rotorfit validate {model} {log}`"),
+        ("cards CARD", "is a file, not the name of a built-in card: a card of your own is given by --card {card}"),
         (
             "validate MODEL GAINS",
             "is a file of gains, not a log: a controller reads it, and `rotorfit track LOG --tune",

@@ -7,6 +7,7 @@ from dataclasses import replace
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from shlex import quote
 from typing import Any, TypeVar
 
 from rotorfit.core.card import (
@@ -101,6 +102,10 @@ def builtin_card_text(name: str) -> str:
         CardError: No card has this name; the nearest is suggested.
     """
     known = _builtin_files()
+    if name not in known and Path(name).is_file():
+        raise CardError(
+            f"{name} is a file, not the name of a built-in card: a card of your own is given by --card {quote(name)}"
+        )
     if name not in known:
         raise CardError(f"no built-in card {name!r}{nearest(name, known)} (`rotorfit cards` lists them)")
     return known[name].read_text(encoding="utf-8")

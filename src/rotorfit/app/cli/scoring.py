@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
@@ -18,6 +19,7 @@ from rotorfit.app.cli.options import (
     progress_bar,
     say_kept,
 )
+from rotorfit.core.errors import ModelError
 
 
 @click.command()
@@ -32,8 +34,13 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
     from rotorfit.app.workflows import validate_logs
     from rotorfit.assessment.validation import to_mapping
     from rotorfit.files.log_span import parse_log
+    from rotorfit.files.mistaken import kind_of
     from rotorfit.files.models import load
 
+    if kind_of(Path(model_path)) == "log":
+        models = [log for log in logs if kind_of(Path(log)) == "model"]
+        if models:
+            raise ModelError(f"the model comes first: `rotorfit validate {quote(models[0])} {quote(model_path)}`")
     model = load(model_path)
     with progress_bar() as progress:
         validation, _ = validate_logs(model, [parse_log(log, span) for log in logs], card, horizons, progress)
