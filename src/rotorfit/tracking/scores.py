@@ -233,14 +233,6 @@ class _Whitened:
         under = tuple(self._scored(whiten(self._rec, self._columns, levels)[0], levels) for levels in stronger)
         return replace(self.scores, under_gusts=under, gusts=gusts, air=air)
 
-    def _pushed(self, levels: Array, instants: Array, fades: Array) -> Array:
-        """See `Scores.pushed`, under some levels."""
-        (_, estimate), *_ = self._estimates
-        t = self._rec.block_time[:, None, None] - instants[:, None]
-        after = EXPECTED["trim"] * _after_a_push(estimate, t, fades)
-        rows = whiten(self._rec, after.reshape(t.shape[0], -1, 1), levels)[0][:, :, 0]
-        return np.asarray((rows * self._valid[:, None]).T.reshape(instants.size, fades.size, -1))
-
     def _scored(self, rows: Array, levels: Array) -> Scores:
         """Scores from whitened columns, shape (B, C, K), under some levels."""
         point, K = self._estimates[0][1].optimum.point, rows.shape[2]
@@ -273,7 +265,8 @@ class _Whitened:
         time = np.repeat(self._rec.block_time, K)
         return Scores(
             time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale),
-            np.array(doubt), columns[:, start + K :], partial(self._pushed, levels), self._density,
+            np.array(doubt), columns[:, start + K :],
+            partial(_pushed, self._rec, self._estimates[0][1], levels, self._valid), self._density,
         )  # fmt: skip
 
 
@@ -330,6 +323,14 @@ def _jolts(rec: Record, estimates: Sequence[tuple[str, Estimate]]) -> Array:
     rise = EXPECTED["trim"] * _after_a_push(estimate, t, np.array(FADES))
     columns = np.column_stack([rise, np.arange(t.size) == first, np.arange(t.size) >= first])
     return np.asarray(columns[:, :, None])
+
+
+def _pushed(rec: Record, estimate: Estimate, levels: Array, valid: Array, instants: Array, fades: Array) -> Array:
+    """See `Scores.pushed`. A function and no method: scores that held their likelihood would be freed late."""
+    t = rec.block_time[:, None, None] - instants[:, None]
+    after = EXPECTED["trim"] * _after_a_push(estimate, t, fades)
+    rows = whiten(rec, after.reshape(t.shape[0], -1, 1), levels)[0][:, :, 0]
+    return np.asarray((rows * valid[:, None]).T.reshape(instants.size, fades.size, -1))
 
 
 def _after_a_push(estimate: Estimate, t: Array, fades: Array) -> Array:
