@@ -13,7 +13,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, world_from_heading
 from rotorfit.core.results import Motion
-from rotorfit.dynamics.compiled import kernel
+from rotorfit.dynamics.first_order_low_pass import first_order_low_pass
 from rotorfit.dynamics.kinematics import motion_from_flight
 
 DELAYS = np.arange(0.0, 0.41, 0.1)
@@ -143,27 +143,14 @@ def _thinned(motion: Motion, duration: float) -> Motion:
 def _smoothed(flight: Flight, time: Array, columns: list[int]) -> list[tuple[float, Array]]:
     """Lag [s] and smoothed commands at some times, shape (N, K), for each time constant and delay."""
     grid = np.arange(flight.command_time[0], flight.command_time[-1] + GRID, GRID)
-    held = np.ascontiguousarray(
-        flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1][:, columns]
-    )
-    smooth = np.empty_like(held)
+    held = flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1][:, columns]
     found = []
     for constant in CONSTANTS:
-        _first_order(held, float(np.exp(-GRID / constant)), smooth)
+        smooth = first_order_low_pass(held, float(np.exp(-GRID / constant)))
         for delay in DELAYS.tolist():
             parts = [np.interp(time - delay, grid, series) for series in smooth.T]
             found.append((delay + constant, np.column_stack(parts)))
     return found
-
-
-@kernel()
-def _first_order(held: Array, keep: float, out: Array) -> None:
-    """Fills the first-order low-pass of held values, both of shape (N, K), from rest."""
-    for k in range(held.shape[1]):
-        state = 0.0
-        for i in range(held.shape[0]):
-            state = keep * state + (1 - keep) * held[i, k]
-            out[i, k] = state
 
 
 def _along(motion: Motion, frame: str, k: int) -> Array:

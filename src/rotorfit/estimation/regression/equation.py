@@ -19,6 +19,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import DELAY_RANGE
+from rotorfit.dynamics.first_order_low_pass import first_order_low_pass
 
 GRID = 0.005
 """Step of the grid [s]. A mean over it attenuates a sine by (omega GRID)^2 / 24: 4e-5 at 1 Hz."""
@@ -207,13 +208,11 @@ class LowPass:
 
 def state_variable_filter(poles: Sequence[float]) -> LowPass:
     """The cascade of 1 / (s / p + 1) over the poles p [1/s], sampled on the grid."""
-    from scipy.signal import lfilter
-
     decay = np.exp(-GRID * np.asarray(poles, float))
 
     def kernel(term: Array) -> Array:
         for e in decay:
-            term = lfilter([1 - e], [1.0, -e], term, axis=0)
+            term = first_order_low_pass(term, float(e))
         return term
 
     return LowPass(kernel, 0, float(np.sum(1 / np.asarray(poles, float))), True)
@@ -225,7 +224,7 @@ def modulating_function(width: float, power: int) -> LowPass:
     Summed by parts, the mean of the second difference of the position is that of the position under the second
     difference of the weight: no measurement is differentiated.
     """
-    from scipy.signal import oaconvolve
+    from scipy import fft
 
     half = round(width / GRID / 2)
     weight = (1 - (np.arange(-half + 1, half) / half) ** 2) ** power
@@ -234,8 +233,9 @@ def modulating_function(width: float, power: int) -> LowPass:
     def kernel(term: Array) -> Array:
         if len(term) < weight.size:
             return np.zeros((0, *term.shape[1:]))
-        shape = (weight.size,) + (1,) * (term.ndim - 1)
-        return np.asarray(oaconvolve(term, weight.reshape(shape), mode="valid", axes=0))
+        n = fft.next_fast_len(len(term), real=True)  # what wraps around lies before the first whole window
+        spectrum = fft.rfft(weight, n).reshape(-1, *[1] * (term.ndim - 1))
+        return np.asarray(fft.irfft(fft.rfft(term, n, axis=0) * spectrum, n, axis=0)[weight.size - 1 : len(term)])
 
     return LowPass(kernel, 2 * half - 2, width, False)
 
