@@ -89,6 +89,9 @@ def log_posterior(products: Array, known: int) -> tuple[Array, Array]:
     Args:
         products: From `products_of`, for each change, shape (n, 1 + Q, 1 + Q).
         known: Number of columns of X: their b has a flat prior.
+
+    Returns:
+        Log-densities, shape (n,), and solutions, shape (n, Q).
     """
     normal, right = products[:, 1:, 1:].copy(), products[:, 1:, 0]
     flat, shifted = np.arange(known), np.arange(known, right.shape[1])
@@ -100,7 +103,12 @@ def log_posterior(products: Array, known: int) -> tuple[Array, Array]:
 
 
 def mean_square(scores: Scores, at: int, shifts: Array, solution: Array) -> float:
-    """Mean square of the residuals before or after a change, the larger; at least 1. Arguments as above."""
+    """Mean square of the residuals before or after a change, the larger; at least 1.
+
+    Args:
+        scores, at, shifts: As for `products_of`.
+        solution: b and s, from `log_posterior`, shape (Q,).
+    """
     known = scores.rows.shape[1] - 1
     left = scores.innovation - scores.rows[:, 1:] @ solution[:known]
     left[at : at + len(shifts)] -= shifts @ solution[known:]

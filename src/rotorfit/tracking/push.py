@@ -51,15 +51,14 @@ def push_interval(scores: Scores, since: tuple[float, float]) -> tuple[float, fl
         since: The interval of its instant [s].
     """
     now, instants = now_of(scores), _instants(scores, since)
-    shapes = now.pushed(instants, LEARNS)
-    product, power = _told(now, shapes)
+    product, power = np.transpose([_told(now, now.pushed(instant, LEARNS)) for instant in instants], (1, 0, 2))
     noise = 1.0
     for _ in range(2):
         precision = power / noise + LARGE**-2
         mean = product / noise / precision
         log = 0.5 * mean**2 * precision - 0.5 * np.log(precision)
-        best = np.unravel_index(int(np.argmax(log)), log.shape)
-        noise = _mean_square(now, float(instants[best[0]]), mean[best] * shapes[best])
+        i, k = np.unravel_index(int(np.argmax(log)), log.shape)
+        noise = _mean_square(now, instants[i], mean[i, k] * now.pushed(instants[i], LEARNS[[k]])[0])
     weight = np.exp(log - log.max())
     return _quantiles(weight / weight.sum(), mean, np.sqrt(1 / precision + (SHAPE * mean) ** 2))
 
@@ -75,25 +74,37 @@ def odds_of_a_push(scores: Scores, since: tuple[float, float]) -> float:
         since: The interval of the instant [s].
     """
     instants, known = _instants(scores, since), scores.rows.shape[1] - 1
-    shapes = LARGE * scores.pushed(instants, LEARNS)
-    pushes = np.stack([shapes, BENDS * np.gradient(shapes, np.log(LEARNS), axis=1)], axis=-1)
     first = [int(at) for at in np.searchsorted(scores.time, instants)]
-    changes = (
-        [(at, scores.tested[at:]) for at in dict.fromkeys(first)],
-        [(at, push[at:]) for at, each in zip(first, pushes, strict=True) for push in each],
+    shifts = dict.fromkeys(first)
+    of_shifts = np.array([products_of(scores, at, scores.tested[at:]) for at in shifts])
+    of_pushes = np.array(
+        [
+            products_of(scores, at, push)
+            for instant, at in zip(instants, first, strict=True)
+            for push in _columns(scores, instant, at)
+        ]
     )
-    products = [np.array([products_of(scores, *one) for one in each]) for each in changes]
-    squares = []
-    for each, product in zip(changes, products, strict=True):
-        log, solution = log_posterior(product, known)
-        best = int(np.argmax(log))
-        squares.append(mean_square(scores, *each[best], solution[best]))
-    shifted, pushed = (log_posterior(product / min(squares), known)[0] for product in products)
-    return _mean_evidence(pushed) - _mean_evidence(shifted)
+    log, solution = log_posterior(of_shifts, known)
+    best = int(np.argmax(log))
+    at = list(shifts)[best]
+    shifted = mean_square(scores, at, scores.tested[at:], solution[best])
+    log, solution = log_posterior(of_pushes, known)
+    best = int(np.argmax(log))
+    i, k = divmod(best, LEARNS.size)
+    pushed = mean_square(scores, first[i], _columns(scores, instants[i], first[i])[k], solution[best])
+    noise = min(shifted, pushed)
+    return _mean_evidence(of_pushes / noise, known) - _mean_evidence(of_shifts / noise, known)
 
 
-def _mean_evidence(log: Array) -> float:
-    """Logarithm of the mean of some evidences."""
+def _columns(scores: Scores, instant: float, at: int) -> Array:
+    """A push of `LARGE` from a row on, and its derivative by log T, for each of `LEARNS`, shape (T, N - at, 2)."""
+    shapes = LARGE * scores.pushed(instant, LEARNS)[:, at:]
+    return np.stack([shapes, BENDS * np.gradient(shapes, np.log(LEARNS), axis=0)], axis=-1)
+
+
+def _mean_evidence(products: Array, known: int) -> float:
+    """Logarithm of the mean evidence of some changes; arguments as for `log_posterior`."""
+    log, _ = log_posterior(products, known)
     return float(logsumexp(log)) - float(np.log(log.size))
 
 
@@ -104,13 +115,13 @@ def _instants(scores: Scores, since: tuple[float, float]) -> Array:
 
 
 def _told(scores: Scores, shapes: Array) -> tuple[Array, Array]:
-    """Inner products of pushes with the innovations, and with themselves, less what X explains, shape (I, T)."""
+    """Inner products of pushes with the innovations, and with themselves, less what X explains, shape (T,)."""
     normal, right = scores.products[1:, 1:], scores.products[1:, 0]
     ridge = FLAT * float(normal.diagonal().max()) + np.finfo(float).tiny
     across = shapes @ scores.rows
-    explained = np.linalg.solve(normal + ridge * np.eye(len(normal)), across[:, :, 1:, None])[:, :, :, 0]
-    power = (shapes**2).sum(axis=2) - (across[:, :, 1:] * explained).sum(axis=2)
-    return across[:, :, 0] - explained @ right, np.maximum(power, 0.0)
+    explained = np.linalg.solve(normal + ridge * np.eye(len(normal)), across[:, 1:].T)
+    power = (shapes**2).sum(axis=1) - (across[:, 1:].T * explained).sum(axis=0)
+    return across[:, 0] - right @ explained, np.maximum(power, 0.0)
 
 
 def _mean_square(scores: Scores, begun: float, push: Array) -> float:

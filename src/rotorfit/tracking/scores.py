@@ -101,8 +101,8 @@ class Scores:
         doubt: Standard deviation by which tests of the law found it to vary without a change, in that unit, shape (P,).
         jolts: Whitened position of an axis of `TRIMMED` after a jolt, and after two kinds of wrong poses, see `_jolts`,
             shape (N, 3); shape (N, 0) for other axes.
-        pushed: Gives the whitened positions of an axis of `TRIMMED` after pushes, from their instants, shape (I,), and
-            the time constants with which they fade, shape (T,) [s]: in the unit of the jolts, shape (I, T, N).
+        pushed: Gives the whitened positions of an axis of `TRIMMED` after pushes at an instant [s] that fade with some
+            time constants, shape (T,) [s]: in the unit of the jolts, shape (T, N).
         density: Log-density of each row under gusts as strong as in the regime, and under each of `GUST_POWERS`, up to
             a constant, shape (N, 1 + L).
         under_gusts: The scores under stronger gusts, up to the strongest that the last seconds may have had.
@@ -119,7 +119,7 @@ class Scores:
     scale: Array
     doubt: Array
     jolts: Array
-    pushed: Callable[[Array, Array], Array]
+    pushed: Callable[[float, Array], Array]
     density: Array
     under_gusts: "tuple[Scores, ...]" = ()
     gusts: int = 0
@@ -325,12 +325,10 @@ def _jolts(rec: Record, estimates: Sequence[tuple[str, Estimate]]) -> Array:
     return np.asarray(columns[:, :, None])
 
 
-def _pushed(rec: Record, estimate: Estimate, levels: Array, valid: Array, instants: Array, fades: Array) -> Array:
+def _pushed(rec: Record, estimate: Estimate, levels: Array, valid: Array, instant: float, fades: Array) -> Array:
     """See `Scores.pushed`. A function and no method: scores that held their likelihood would be freed late."""
-    t = rec.block_time[:, None, None] - instants[:, None]
-    after = EXPECTED["trim"] * _after_a_push(estimate, t, fades)
-    rows = whiten(rec, after.reshape(t.shape[0], -1, 1), levels)[0][:, :, 0]
-    return np.asarray((rows * valid[:, None]).T.reshape(instants.size, fades.size, -1))
+    after = EXPECTED["trim"] * _after_a_push(estimate, rec.block_time[:, None] - instant, fades)
+    return np.asarray(whiten(rec, after[:, :, None], levels)[0][:, :, 0].T * valid)
 
 
 def _after_a_push(estimate: Estimate, t: Array, fades: Array) -> Array:
