@@ -18,9 +18,9 @@ from pathlib import Path
 from rotorfit.app.workflows import load_flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Interval, Model
-from rotorfit.dynamics.transfer_function import sine_response
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.log_span import LogSpan
+from sine_response import sine_response
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared/data/arducopter-sitl"
 FREQUENCIES = (1.0, 2.0, 3.0, 4.5)

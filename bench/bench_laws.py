@@ -18,11 +18,10 @@ from scipy.stats import qmc
 
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.laws import structure_named
 from rotorfit.core.model import Interval, Model, Predictor
-from rotorfit.dynamics.transfer_function import law_response, sine_response
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.cards import load_card
+from sine_response import gain_and_delay, sine_response
 
 STEP = 0.002
 DURATION = 60.0
@@ -104,15 +103,15 @@ def _moved(truth: Predictor, inputs: Array, kind: str) -> Array:
 
 def asked(kind: str, truth: Predictor) -> dict[str, float]:
     """What is true of a vehicle, whatever the law it is fitted with; input, damping and delay by its own law."""
-    law, rest = structure_named(STRUCTURE[kind]), truth.extra.get("lag", 0.0) if kind == "lag" else 0.0
+    rest = truth.extra.get("lag", 0.0) if kind == "lag" else 0.0
     out = {
         "steady_gain": truth.input / truth.damping,
         "total_lag": truth.delay + rest + 1 / truth.damping - truth.extra.get("zero", 0.0),
         "input": truth.input, "damping": truth.damping, "delay": truth.delay,
     }  # fmt: skip
     for w in (1.0, 3.0):
-        answer = complex(law_response(law, truth, np.array([w]))[0])
-        out |= {f"gain {w:g}": abs(answer), f"delay {w:g}": -float(np.angle(answer)) / w}
+        gain, delay = gain_and_delay(STRUCTURE[kind], truth, w)
+        out |= {f"gain {w:g}": gain, f"delay {w:g}": delay}
     return out
 
 

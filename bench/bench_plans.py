@@ -113,7 +113,7 @@ def excitations_of(design: str, group: Sequence[str], room: dict[str, float]) ->
         band = (SLOWEST, fastest(BELIEF, axis))
         if design == "ident":
             one = AxisExcitation(axis, "position", 0.0, DURATION, ident_reference(axis))
-        elif design == "two_sines_paper":
+        elif design.startswith("two_sines"):
             one = AxisExcitation(axis, "command", 0.0, DURATION, paper_sines(axis))
         else:
             one = AxisExcitation(

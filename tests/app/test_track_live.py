@@ -22,6 +22,7 @@ from rotorfit.app.workflows import training_flights
 from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
 from rotorfit.files.logs import read
 from rotorfit.files.models import load
+from rotorfit.flying.recorder import Recorder
 
 QUICK = ("--pace", "1000", "--structure", "first_order_delay")
 ALARM = Alarm(3.0, ("x",), "payload", (1.0, 2.0), {"x.input": (0.8, 0.9)}, 0.9, 1e-9, "because")
@@ -88,6 +89,24 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
     assert "goes on from" in again.stderr
     assert first["time"] > 12.0
     assert first["axes"]["yaw"]["input"] is not None
+
+
+def test_a_recording_that_the_disk_ends_costs_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is said when it happens; table, models and memory come all the same."""
+    record, memory, model = (tmp_path / name for name in ("flight.mcap", "memory", "model.json"))
+
+    def full(recorder: Recorder) -> None:
+        recorder.fault = f"{recorder.path}: No space left on device"
+
+    monkeypatch.setattr(Recorder, "_run", full)
+    words = ("--link", "sim", "--for", "12", "--record", str(record), "--state", str(memory), *QUICK)
+    result = run(*words, "-o", str(model))
+
+    assert result.exit_code == 1
+    assert result.stderr.count("No space left on device") == 2  # when it happened, and why the exit code is 1
+    assert "steady gain" in result.stdout
+    assert load(model).axes["yaw"].input is not None
+    assert "goes on from" in run("--link", "sim", "--for", "1", "--state", str(memory), *QUICK).stderr
 
 
 def test_the_page_of_a_link_has_every_second_of_its_flight(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ SECOND = 1_000_000_000
 AUTO, OFFBOARD, POSITION = 4, 6, 3
 TAKE_OFF, LOITER, LAND = 2, 3, 6
 BODY_NED, VELOCITY_AND_YAW_RATE = 8, 1479
+ACCEPTED, DENIED = 0, 2  # MAV_RESULT
 LANDED = {"grounded": 1, "taking_off": 3, "flying": 2, "landing": 4}
 
 
@@ -30,7 +31,7 @@ class Autopilot:
         self.mode = (5,) if ardupilot else (POSITION, 0)
         self._setpoints: list[int] = []
         self._beat = self._state = -SECOND
-        self.refuse: set[int] = set()  # commands that are denied, for tests
+        self.refuse: dict[int, int] = {}  # commands to the results that answer them instead of obedience
         self.deaf = False  # sends nothing, for tests
         self.requests: list[int] = []
         self.goes_on = 0.5
@@ -103,8 +104,10 @@ class Autopilot:
 
     def _on_command_long(self, message: Any) -> None:
         self.requests.append(message.command)
-        allowed = message.command not in self.refuse and self._obey(message)
-        self.connection.mav.command_ack_send(message.command, 0 if allowed else 2)
+        result = self.refuse.get(message.command)
+        if result is None:
+            result = ACCEPTED if self._obey(message) else DENIED
+        self.connection.mav.command_ack_send(message.command, result)
 
     def _obey(self, message: Any) -> bool:
         command = message.command

@@ -149,7 +149,7 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(bench: Bench) -> None:
 
 
 def test_a_refusal_is_an_error_that_names_the_step(bench: Bench) -> None:
-    bench.autopilot.refuse.add(400)
+    bench.autopilot.refuse[400] = 2
     bench.link.greet()
     bench.link.act("take_off")
 
@@ -158,8 +158,41 @@ def test_a_refusal_is_an_error_that_names_the_step(bench: Bench) -> None:
     assert bench.room.asked == []
 
 
+def test_a_step_that_is_put_off_is_asked_for_again(bench: Bench) -> None:
+    bench.autopilot.refuse[400] = 1
+    bench.link.greet()
+    bench.link.act("take_off")
+    bench.fly(3.0)
+    assert bench.autopilot.requests.count(400) >= 3
+    bench.autopilot.refuse.clear()
+    bench.fly(2.0)
+    assert bench.room.asked == ["take_off"]
+
+
+def test_a_step_that_is_put_off_for_good_is_told_as_that(bench: Bench) -> None:
+    bench.autopilot.refuse[400] = 1
+    bench.link.greet()
+    bench.link.act("take_off")
+    with pytest.raises(LinkError, match=r"(PX4|ArduPilot) did not arm: temporarily rejected"):
+        bench.fly(8.0)
+
+
+def test_a_step_that_is_in_progress_is_waited_for(bench: Bench) -> None:
+    bench.autopilot.refuse[400] = 5
+    bench.link.greet()
+    bench.link.act("take_off")
+    for _ in range(12):
+        bench.fly(0.6)
+        bench.autopilot.connection.mav.command_ack_send(400, 5)
+    bench.autopilot.armed = True
+    bench.autopilot.connection.mav.command_ack_send(400, 0)
+    bench.fly(2.0)
+    assert bench.autopilot.requests.count(400) == 1
+    assert bench.room.asked == ["take_off"]
+
+
 def test_a_refusal_is_told_in_the_autopilots_own_words(bench: Bench) -> None:
-    bench.autopilot.refuse.add(400)
+    bench.autopilot.refuse[400] = 2
     bench.link.greet()
     long = "PreArm: the compass is not healthy and its offsets are too large to be believed"
     bench.autopilot.says += [(6, "Initialising"), (4, "EKF3 IMU0 stopped aiding"), (2, long)]

@@ -17,7 +17,6 @@ from rotorfit.planning.belief import (
     belief_from_card,
     belief_from_mapping,
     belief_from_model,
-    belief_from_published,
     belief_mapping,
     coefficients_of,
     levels_of,
@@ -123,21 +122,7 @@ def test_the_levels_of_a_model_are_kept_and_its_wind_is_their_own() -> None:
     assert belief.truth.mocap_noise[0] == pytest.approx(truth.mocap_noise[0])
 
 
-def test_a_published_set_is_believed_to_a_fifth_and_one_that_runs_away_is_refused() -> None:
-    belief = belief_from_published("B")
-    assert belief.truth.gamma == GAMMA_B
-    assert errors(belief)["y.damping"] == pytest.approx(0.2 * GAMMA_B[3])
-    with pytest.raises(PlanError, match="is unstable"):
-        belief_from_published("C")
-    with pytest.raises(PlanError, match="not complete"):
-        belief_from_published("G")
-    with pytest.raises(PlanError, match="no published set 'Z'"):
-        belief_from_published("Z")
-
-
-@pytest.mark.parametrize(
-    "belief", [belief_from_card(CARD), belief_from_published("B"), belief_from_model(model_of(), "m")]
-)
+@pytest.mark.parametrize("belief", [belief_from_card(CARD), belief_from_model(model_of(), "m")])
 def test_a_belief_survives_its_plain_form_to_six_digits(belief: Belief) -> None:
     again = belief_from_mapping(belief_mapping(belief), "plan p")
     np.testing.assert_allclose(again.coefficients, belief.coefficients, rtol=1e-5)

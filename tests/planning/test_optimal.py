@@ -341,15 +341,6 @@ def test_a_stronger_input_with_smaller_commands_is_the_same_flight() -> None:
     assert strong.score == pytest.approx(design().score, abs=0.01)
 
 
-def test_what_is_known_already_is_not_asked_again() -> None:
-    """With input and delay known the design turns to the damping."""
-    known = np.diag([1e9, 0.0, 1e12])
-
-    told = optimal_signal(X, levels_of(X.damping), ROOM, DURATION, "d", step=STEP, known=known)
-
-    assert told.errors[1] < 0.9 * design().errors[1]
-
-
 def test_a_long_flight_is_equal_pieces_that_join_at_rest() -> None:
     long = optimal_signal(Z, levels_of(Z.damping), ROOM, 80.0, step=1.0)
     command = commands(long.signal, 80, 1.0)

@@ -115,7 +115,9 @@ def residual_tests(
     robust = float(np.sum((NORMAL * found.value[told] / found.band[told]) ** 2))
     command_p, freedom = _independence(innovations, covariance)
     with_command = cross_correlation(innovations, covariance)
-    peak = int(np.argmax(np.abs(with_command.value) - with_command.band))
+    size, told = np.abs(with_command.value), with_command.band > 0
+    share = np.divide(size, with_command.band, out=np.zeros_like(size), where=told)
+    peak = int(np.argmax(share))
     white_p = _chi_squared(robust, lags)
     count, ratio = frequencies(n), float(np.mean(at_fitted_levels**2))
     spread = float(variance_of_mean(at_fitted_levels[:, None] ** 2, count)[0, 0]) * (1 + training_share)
@@ -128,7 +130,7 @@ def residual_tests(
         white_p=white_p,
         command_freedom=freedom,
         command_p=command_p,
-        command_peak=float(abs(with_command.value[peak]) / with_command.band[peak]) if freedom else None,
+        command_peak=float(share[peak]) if freedom else None,
         command_peak_lag=float(with_command.lag[peak]) if freedom else None,
         variance_ratio=ratio,
         variance_ci95=(max(0.0, ratio - half), ratio + half),
@@ -234,8 +236,12 @@ def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterat
         yield Finding(
             "residuals_follow_command",
             "warning",
-            f"{where}: the innovations of {axis} follow its own past commands (p = {tests.command_p:.1g}), most those "
-            f"of {tests.command_peak_lag:.2f} s before, by {tests.command_peak or 0.0:.1f} times the 95 % band",
+            f"{where}: the innovations of {axis} follow its own past commands (p = {tests.command_p:.1g}), "
+            + (
+                f"most those of {tests.command_peak_lag:.2f} s before, by {tests.command_peak:.1f} times the 95 % band"
+                if tests.command_peak and tests.command_peak > 1
+                else "all of the last second together, those of no single moment"
+            ),
             f"the model leaves out part of the response of {axis}: its coefficients may be off beyond their intervals",
             "look where predictions fail in the report; fit the flight by itself, or a richer structure",
             axis,

@@ -147,7 +147,7 @@ def tune(
     refused: dict[str, str] = {}
     for axis in (axis for axis in AXES if axis in axes):
         if model.axes[axis].predictor is None:
-            refused[axis] = f"the model has no numbers ({unknown_why(model, axis)}"
+            refused[axis] = f"the model has no numbers {unknown_why(model, axis)}"
             continue
         vehicle = known_dynamics(model, axis)
         possible = doubt(believed_possible(model, axis, draws, seed), 1 / rate, latency, seed)

@@ -292,7 +292,9 @@ def window(excitation: AxisExcitation, ramp: float, t: Array) -> Three:
 
 @dataclass(frozen=True)
 class Ending:
-    """Why a flight ended: `completed`, `operator`, `disk`, `command`, `error`, or a code of the guard; and a text."""
+    """Why a flight ended, and a text: `completed`, `operator`, `disk`, `command`, `start`, `take_off`, `error`, or a
+    code of the guard.
+    """
 
     reason: str
     text: str

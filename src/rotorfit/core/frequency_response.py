@@ -27,6 +27,7 @@ class FrequencyResponse:
         instrument: Signal that excites the vehicle from outside any loop: `tones` of the command; the whole `command`
             in an open loop; else the `reference`; `none`.
         why_none: Why there is no response; empty where there is one.
+        expected: Phase of a model, which tells the whole turns of the response, shape (K,) [rad]; empty without one.
     """
 
     axis: str
@@ -37,6 +38,7 @@ class FrequencyResponse:
     coherence: Array
     instrument: Instrument
     why_none: str = ""
+    expected: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def gain(self) -> Array:
@@ -51,14 +53,20 @@ class FrequencyResponse:
 
     @property
     def phase(self) -> Array:
-        """Unwrapped phase, shifted by half turns to be nearest to zero at zero frequency, shape (K,) [rad].
+        """Phase nearest to the expected one, or else unwrapped and shifted by half turns into a lag, shape (K,) [rad].
 
-        Half turns, because the sign of the input must not change the delay of the response.
+        Half turns, because the sign of the input must not change the delay of the response. A line through the phases
+        of a slow vehicle, far above its damping, begins a quarter turn below zero: lags to three eighths of a turn are
+        taken as such, and leads to one eighth.
         """
+        if self.expected.size:
+            sign = np.sign(np.sum((self.response * np.exp(-1j * self.expected)).real)) or 1.0
+            off = np.angle(sign * self.response * np.exp(-1j * self.expected))
+            return np.asarray(self.expected + off, np.float64)
         phase = np.asarray(np.unwrap(np.angle(self.response)), np.float64)
         w = self.frequency
         at_rest = phase[0] - w[0] * (phase[1] - phase[0]) / (w[1] - w[0]) if w.size > 1 else phase[:1].sum()
-        return np.asarray(phase - np.pi * np.round(at_rest / np.pi), np.float64)
+        return np.asarray(phase - np.pi * np.round(at_rest / np.pi + 0.25), np.float64)
 
     @property
     def delay(self) -> Array:
@@ -102,14 +110,14 @@ class ResponseComparison:
         flight: The response measured on the flight.
         model: The model's response at the same frequencies, shape (K,); None where its law has none.
         gain_band: Ends of the 95 % bands of the model's gain, shape (K, 2); NaN where unknown.
-        delay_band: Ends of the 95 % bands of the model's delay, shape (K, 2) [s].
+        delay_half_width: Half widths of the 95 % bands of the model's delay, shape (K,) [s]; NaN where unknown.
         law: Test of the law; None without a response, or with no more numbers than coefficients.
     """
 
     flight: FrequencyResponse
     model: Spectrum | None = None
     gain_band: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    delay_band: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    delay_half_width: Array = field(default_factory=lambda: np.zeros(0))
     law: LawTest | None = None
 
     @property
@@ -119,8 +127,10 @@ class ResponseComparison:
 
     @property
     def model_delay(self) -> Array:
-        """Phase delay of the model, with its phase unwrapped to be nearest to the flight's, shape (K,) [s]."""
-        if self.model is None:
-            return np.zeros(0)
-        phase = self.flight.phase + np.angle(self.model / self.flight.response)
-        return np.asarray(-phase / self.flight.frequency)
+        """Phase delay of the model, shape (K,) [s]."""
+        return np.zeros(0) if self.model is None else -self.flight.expected / self.flight.frequency
+
+    @property
+    def model_delay_band(self) -> Array:
+        """Ends of the 95 % bands of the model's delay, shape (K, 2) [s]."""
+        return np.stack([self.model_delay - self.delay_half_width, self.model_delay + self.delay_half_width], axis=1)

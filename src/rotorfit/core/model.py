@@ -484,14 +484,14 @@ def predictor_of(model: Model, axis: str) -> Predictor:
     """
     predictor = model.axes[axis].predictor
     if predictor is None:
-        raise ModelError(f"the model has no numbers for {axis} ({unknown_why(model, axis)}")
+        raise ModelError(f"the model has no numbers for {axis} {unknown_why(model, axis)}")
     return predictor
 
 
 def unknown_why(model: Model, axis: str) -> str:
-    """Status of an axis without numbers, and what to do."""
+    """Status of an axis without numbers, in brackets, and what to do."""
     status = model.axes[axis].status["input"]
-    return f"{status}): {MEND if status == FROZEN else f'fit a flight that moves it{PLANNED}'}"
+    return f"({status}): {MEND if status == FROZEN else f'fit a flight that moves it{PLANNED}'}"
 
 
 def first_order(model: Model, axis: str) -> Weighed:

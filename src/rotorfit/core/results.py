@@ -229,8 +229,7 @@ class Fit:
             valid.
         outliers: Poses of each flight that the robust method excluded.
         braking: Axis that obeys another law while its command is zero, to the test that shows it and the duration of
-            the
-            parts that it was fitted to [s].
+            the parts that it was fitted to [s].
     """
 
     model: Model

@@ -59,7 +59,7 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
     if not held:
         return wider
     offset = held[0].offset if len(flights) == 1 else None
-    return replace(wider, axes={name: _without_delay(axis, offset) for name, axis in model.axes.items()})
+    return replace(wider, axes={name: _without_delay(axis, offset) for name, axis in wider.axes.items()})
 
 
 def with_delay_error(model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]]) -> Model:

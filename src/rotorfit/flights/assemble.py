@@ -12,7 +12,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.display import counted
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import ANSWER, MIN_DURATION, SLOWEST_POSES, Clocks, Flight, Note, Segment
-from rotorfit.core.frames import AXES, Array, Indices, heading_from_world
+from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.log import Log
 from rotorfit.files.cards import refuse_shared
 from rotorfit.flights.clocks.arrival import with_sound_stamps
@@ -23,7 +23,7 @@ from rotorfit.flights.command_hold import with_judged_hold
 from rotorfit.flights.low_pass import without_low_pass
 from rotorfit.flights.onboard_velocity import in_the_world, velocities_of, with_travel
 from rotorfit.flights.several_files import bound
-from rotorfit.flights.stamps import Mask, Stamps
+from rotorfit.flights.stamps import Stamps
 from rotorfit.flights.streams import Stream, closed, commands_of, keep_samples, poses_of, reference_of
 
 LEAST = 1.0
@@ -132,8 +132,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     Args:
         log: As recorded.
         card: The meaning of each column. Commands in the world frame are along the axes of the converted pose (x east,
-            y
-            north, z up also for a card in NED), because a card never implies their signs.
+            y north, z up also for a card in NED), because a card never implies their signs.
         span: Start and end [s] from the start of the common window; None for its ends. Data outside are ignored.
 
     Returns:

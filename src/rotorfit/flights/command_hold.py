@@ -18,12 +18,12 @@ import numpy as np
 from rotorfit.core.card import Card
 from rotorfit.core.display import counted
 from rotorfit.core.flight_data import Note
-from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frames import AXES, Array, Mask
 from rotorfit.core.log import Log
 from rotorfit.core.model import NORMAL
 from rotorfit.flights.clocks.lag_search import GriddedMotion
 from rotorfit.flights.clocks.motion_signals import ANSWER_STEP, DAMPINGS, HALF_WIDTH, answers, motion_column, seen_by
-from rotorfit.flights.stamps import GAP_PERIODS, GAP_TOLERANCE, Mask, median_period
+from rotorfit.flights.stamps import GAP_PERIODS, GAP_TOLERANCE, median_period
 from rotorfit.flights.streams import Stream, commands_of
 
 SHORT = 0.25

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from rotorfit.core.card import Card, Condition
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Mask
 from rotorfit.core.log import Log
 from rotorfit.flights.other_tables import state_samples
-from rotorfit.flights.stamps import Mask, Stamps, fresh, held
+from rotorfit.flights.stamps import Stamps, fresh, held
 
 IDLE = 3.0
 """Time without a change after which commands at the ends count as idle [s]."""

@@ -126,9 +126,7 @@ def with_travel(log: Log, position: Array, pose_time: Array, velocity: Velocity)
     )
     notes: tuple[Note, ...] = (Note("velocity_only", text, velocity.time.size),)
     for axis in velocity.alone:
-        if step := velocity.grain[AXES.index(axis)]:
-            state_samples = (
-                f"the velocity of {axis} is rounded to {step:.3g} m/s: its error is taken to be no less than that"
-            )
-            notes = (*notes, Note("velocity_rounded", state_samples, velocity.time.size))
+        if grain := velocity.grain[AXES.index(axis)]:
+            text = f"the velocity of {axis} is rounded to {grain:.3g} m/s: its error is taken to be no less than that"
+            notes = (*notes, Note("velocity_rounded", text, velocity.time.size))
     return out, notes

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import CardError
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Mask
 from rotorfit.core.log import Log
 from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import format_of
@@ -19,7 +19,6 @@ from rotorfit.flights.stamps import (
     GAP_PERIODS,
     GAP_TOLERANCE,
     MISSING_STAMP,
-    Mask,
     Stamps,
     held,
     increasing,

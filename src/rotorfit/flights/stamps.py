@@ -10,14 +10,12 @@ import numpy.typing as npt
 
 from rotorfit.core.card import Channel
 from rotorfit.core.errors import CardError
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Mask
 from rotorfit.core.log import Log
 from rotorfit.flights.columns import raw_column, table_of
 
 Stamps = npt.NDArray[np.int64]
 """Stamps of a stream, shape (N,) [ns]."""
-
-Mask = npt.NDArray[np.bool_]
 
 MISSING_STAMP = int(np.iinfo(np.int64).min)
 """Represents a stamp that was recorded as NaN, as numpy's NaT does."""

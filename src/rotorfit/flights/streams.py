@@ -9,7 +9,7 @@ from rotorfit.core.card import Card, Channel
 from rotorfit.core.display import counted
 from rotorfit.core.errors import CardError, FlightError
 from rotorfit.core.flight_data import Note
-from rotorfit.core.frames import AXES, Array, yaw_from_quaternion
+from rotorfit.core.frames import AXES, Array, Mask, yaw_from_quaternion
 from rotorfit.core.log import Log
 from rotorfit.flights.columns import column, split_source
 from rotorfit.flights.command_window import conditions, idle_ends, resets
@@ -26,7 +26,6 @@ from rotorfit.flights.stamps import (
     GAP_PERIODS,
     MISSING_STAMP,
     ClockDrift,
-    Mask,
     Stamps,
     coarse,
     degrees_for_radians,

@@ -33,7 +33,7 @@ from rotorfit.flying.guard import (
 )
 from rotorfit.flying.links.link import Link
 from rotorfit.flying.operator import Abort, hurried
-from rotorfit.flying.preflight import NEAR, TURNED, from_start
+from rotorfit.flying.preflight import NEAR, TURNED, can_approach, from_start
 from rotorfit.flying.recorder import Recorder
 from rotorfit.planning.plan_control import begin, instants, largest_command, obeyed, tracker_of
 from rotorfit.planning.plan_control import observed as tracked
@@ -222,7 +222,7 @@ class _Flight:
         distance, angle = from_start(self.plan, self.watch)
         if distance <= NEAR and angle <= TURNED:
             return None
-        if self.plan.feedback is None and "gamma" not in self.plan.belief:
+        if not can_approach(self.plan):
             return Ending(
                 "start", f"the vehicle is {distance:.2f} m from the plan's start, and the plan has no feedback"
             )

@@ -31,18 +31,13 @@ from rotorfit.core.limits import GRAVITY, meaning_of
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.planning.plan_control import Tracker, full_scale
+from rotorfit.planning.stopping import SERVO, SHARE, stopping
 
 Three = tuple[float, float, float]
 
 Code = Literal[
     "fence", "speed", "climb", "pose_lost", "link_lost", "pose_frozen", "pose_jumps", "battery", "too_long", "starved"
 ]
-
-SHARE = 0.5
-"""Share of the acceleration of a full command that braking may use; the rest is kept for wind and a wrong belief."""
-
-SERVO = 1.0
-"""Damping from which an axis is taken to stop by itself on a command of zero [1/s]: a velocity loop."""
 
 UNKNOWN_DELAY = 0.3
 """Delay of a command without a belief [s]."""
@@ -148,22 +143,20 @@ def limits_of(plan: Plan) -> Limits:
     Raises:
         CardError: The plan's card is wrong.
     """
-    braking = [_braking(plan, axis) for axis in AXES[:3]]
+    stops = [_stop(plan, axis) for axis in AXES[:3]]
     space = plan.space
-    x, y, z = (reaction + FILTER for reaction, _ in braking)
-    a, b, c = (deceleration for _, deceleration in braking)
+    x, y, z = (reaction + FILTER for reaction, _ in stops)
+    a, b, c = (deceleration for _, deceleration in stops)
     return Limits(space.lower, space.upper, space.speed, space.climb, (x, y, z), (a, b, c), plan.duration + SPARE)
 
 
-def _braking(plan: Plan, axis: str) -> tuple[float, float]:
+def _stop(plan: Plan, axis: str) -> tuple[float, float]:
     """Reaction time [s] and deceleration [m/s^2] along an axis."""
     card, place = card_from_mapping(plan.card, f"of plan {plan.name}"), AXES.index(axis)
     delay = float(plan.belief["delay"][place]) if "delay" in plan.belief else UNKNOWN_DELAY
     if "gamma" in plan.belief:
         gain, damping = (float(number) for number in plan.belief["gamma"][2 * place : 2 * place + 2])
-        if damping >= SERVO:
-            return delay + 1 / damping, math.inf
-        return delay, SHARE * abs(gain) * min(full_scale(card, axis), 1.0)
+        return stopping(gain, damping, delay, full_scale(card, axis))
     if meaning_of(card, axis).asked == "tilt":
         return delay, SHARE * GRAVITY * math.tan(card.limits.get("tilt", UNKNOWN_TILT))
     return delay + 1 / UNKNOWN_DAMPING, math.inf

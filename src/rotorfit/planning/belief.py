@@ -35,9 +35,6 @@ DELAY = (0.15, 0.10)
 GAIN_SHARE = 0.15
 """Relative standard deviation of the response to a full command about the expectation from the card's limits."""
 
-PUBLISHED_SHARE = 0.20
-"""Relative standard deviation of published coefficients: the sets of one vehicle differ by as much."""
-
 UNKNOWN_SHARE = (0.5, 0.7)
 """Relative standard deviations of input and damping where nothing is known; a model's are never taken to be larger."""
 
@@ -158,26 +155,6 @@ def _product(reach: float, meaning: Meaning, damping: float, spread: float) -> t
         [[share + GAIN_SHARE**2, share, 0.0], [share, share, 0.0], [0.0, 0.0, (DELAY[1] / DELAY[0]) ** 2]]
     )
     return mean, np.outer(mean, mean) * shares
-
-
-def belief_from_published(name: str) -> Belief:
-    """The belief from a published set, each coefficient known to a fifth, with the delay of a Bebop 2 if it has none.
-
-    Raises:
-        PlanError: There is no such set, it is incomplete, or an axis is unstable.
-    """
-    known = {one.name: one for one in PUBLISHED}
-    if name not in known:
-        raise PlanError(f"no published set {name!r}; there are {', '.join(known)}")
-    gamma = known[name].gamma
-    if None in gamma:
-        raise PlanError(f"the published set {name} is not complete; take one of all eight coefficients")
-    numbers = np.array(gamma, float)
-    delay = known[name].delay or DELAY[0]
-    truth = replace(Truth(), gamma=tuple(map(float, numbers)), delay=(delay,) * 4)
-    share = np.tile([PUBLISHED_SHARE, PUBLISHED_SHARE, DELAY[1] / delay], 4)
-    covariance = np.diag((share * coefficients_of(truth)) ** 2)
-    return _checked(Belief(truth, covariance, USUAL_TRIM, {}, f"published set {name}: {known[name].source}"))
 
 
 def belief_from_model(model: Model, where: str) -> Belief:

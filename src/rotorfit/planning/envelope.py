@@ -248,12 +248,9 @@ def _second_half(progress: Progress | None) -> Progress | None:
     return lambda fraction, text: outer(0.5 + 0.5 * fraction, text)
 
 
-def largest_amplitude(plan: Plan, fleet: Sequence[Draw], upper: float = 1.0, progress: Progress | None = None) -> float:
-    """The largest common factor on all signals with which the plan stays in its space; 0 if none does.
-
-    The arguments and the search are as for `largest_amplitudes`.
-    """
-    return _largest_common(plan, _Trial(fleet[1:]), upper, progress)
+def largest_amplitude(plan: Plan, fleet: Sequence[Draw]) -> float:
+    """The largest common factor up to 1 on all signals with which the plan stays in its space; 0 if none does."""
+    return _largest_common(plan, _Trial(fleet[1:]), 1.0, None)
 
 
 def _largest_common(

@@ -58,6 +58,9 @@ SHORTEST = 4.0
 STARTS, ROUNDS = 9, 27
 """Number of signals that start the climb, and of perturbations of the best afterwards."""
 
+STEP = 0.1
+"""Shortest time for which a command is held by default [s]."""
+
 HELD = 2
 """Steps for which the levels are held at first, which takes a quarter of the time. The best is perturbed as often again
 on levels of single steps."""
@@ -127,10 +130,9 @@ def optimal_signal(
     seed: int = 0,
     progress: Progress | None = None,
     *,
-    step: float = 0.1,
+    step: float = STEP,
     smooth: float = 0.0,
     pose_rate: float = 120.0,
-    known: Array | None = None,
 ) -> OptimalSignal:
     """Designs the commands of one axis.
 
@@ -149,7 +151,6 @@ def optimal_signal(
         smooth: Width of the Hann window applied to the levels [s]: content faster than 2 pi over it loses more than
             half of its amplitude, content twice as fast nearly all. Up to one step: none, the commands are hard steps.
         pose_rate: Rate of fresh poses [Hz].
-        known: Information about (input / g, log b, tau) from earlier flights, shape (3, 3).
 
     Raises:
         PlanError: Limits without room, a flight that is too short, or a failed linear programme.
@@ -159,16 +160,14 @@ def optimal_signal(
     belief = AxisBelief(*dynamics)
     window = _window(smooth, step)
     form = axis_information(belief, levels, duration / pieces, step, pose_rate, window)
-    prior = np.zeros((3, 3)) if known is None else np.asarray(known) / pieces
-    problem = _Problem(form, limits, criterion, prior, window)
+    problem = _Problem(form, limits, criterion, window)
     rough, rng = replace(problem, form=form.held(HELD)), np.random.default_rng(seed)
     best, scores = _search(rough, rng, None, part_of(progress, 0, 2))
     same = np.zeros(problem.n)
     same[: HELD * rough.n] = np.repeat(best.command, HELD)
     best, finer = _search(problem, rng, same, part_of(progress, 1, 2))
     level = problem.inside(best.command)
-    total = pieces * (problem.prior + form.information(level))
-    errors = np.sqrt(np.diag(np.linalg.inv(total)))
+    errors = np.sqrt(np.diag(np.linalg.inv(pieces * form.information(level))))
     return OptimalSignal(
         signal=_chained(np.convolve(level, window), step, duration / pieces, pieces),
         criterion=criterion,
@@ -191,7 +190,6 @@ def optimal_excitations(
     seed: int = 0,
     progress: Progress | None = None,
     smooth: Mapping[str, float] | None = None,
-    step: float = 0.1,
 ) -> tuple[AxisExcitation, ...]:
     """Designs several axes that are flown together, ready for a plan without a ramp.
 
@@ -208,7 +206,6 @@ def optimal_excitations(
         seed: Seed of the searches.
         progress: Called with a fraction and a text; raising in it cancels.
         smooth: Axis to the width of its window [s], see `optimal_signal`; None for hard steps.
-        step: Shortest time for which a command is held, a multiple of the period of the plan's commands [s].
 
     Raises:
         PlanError: As `optimal_signal`.
@@ -220,10 +217,10 @@ def optimal_excitations(
         part = part_of(progress, place, len(room))
         signal = optimal_signal(
             dynamics, np.log(levels_of(belief, truth, axis)), limits, duration, criterion, seed * len(AXES) + a, part,
-            step=step, smooth=smooth[axis] if smooth else 0.0, pose_rate=truth.pose_rate * (1 - truth.stale_share),
+            smooth=smooth[axis] if smooth else 0.0, pose_rate=truth.pose_rate * (1 - truth.stale_share),
         ).signal  # fmt: skip
         if feedback is not None and axis in feedback.axes:
-            signal = against_feedback(signal, axis, dynamics, feedback, duration, step)
+            signal = against_feedback(signal, axis, dynamics, feedback, duration, STEP)
         out.append(AxisExcitation(axis, "command", start, duration, signal))
     return tuple(out)
 
@@ -260,7 +257,6 @@ class _Problem:
     form: AxisInformation
     limits: AxisLimits
     criterion: Criterion
-    prior: Array
     window: Array
 
     @property
@@ -270,7 +266,7 @@ class _Problem:
 
     def score(self, information: Array) -> Array:
         """-log of the mean standard error in units of `TARGETS`; -inf where the information (..., 3, 3) is singular."""
-        scaled = (information + self.prior) * np.outer(TARGETS, TARGETS)
+        scaled = information * np.outer(TARGETS, TARGETS)
         sign, log_determinant = np.linalg.slogdet(scaled)
         regular = sign > 0
         if self.criterion == "d":
@@ -282,7 +278,7 @@ class _Problem:
     def slope(self, information: Array) -> Array:
         """Derivative of the score by the information, shape (3, 3)."""
         scale = np.outer(TARGETS, TARGETS)
-        inverse = np.linalg.inv((information + self.prior) * scale)
+        inverse = np.linalg.inv(information * scale)
         if self.criterion == "d":
             return np.asarray(inverse * scale / 6)
         return np.asarray(inverse @ inverse * scale / (2 * np.trace(inverse)))

@@ -272,8 +272,7 @@ def _group_information(flight: Flight, truth: Truth, belief: Belief, group: Sequ
     )  # fmt: skip
     at_rest, start = score([rec], point), slice(point.n - point.start.size, point.n)
     # The start speed carries information about the damping, too: a quarter more where a flight begins fast. The
-    # position
-    # is linear in that speed, so one step finds it.
+    # position is linear in that speed, so one step finds it.
     speed = np.asarray(np.linalg.solve(at_rest.information[start, start], at_rest.gradient[start]), float)
     point = replace(point, start=speed.reshape(point.start.shape))
     full = score([rec], point).information[: point.n, : point.n]

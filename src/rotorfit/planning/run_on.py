@@ -4,7 +4,7 @@ It obeys the last command for some seconds, then stops:
 
     v' = g u - b v with the last command u held, then v t + v |v| / (2 a)
 
-with the believed g, b and delay t; a velocity loop stops within 1 / b, a tilt brakes with half of a full command.
+with the believed g and b, and t and a of `stopping`.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,8 @@ from rotorfit.core.frames import Array, world_from_heading
 from rotorfit.planning.belief import belief_from_mapping
 from rotorfit.planning.plan_control import tracker_of
 from rotorfit.planning.precision import fly_plan, path
+from rotorfit.planning.stopping import stopping
 from rotorfit.simulation.paper_vehicle import noise_free
-
-SERVO, SHARE = 1.0, 0.5
-"""Damping from which an axis stops by itself [1/s]; share of a full command assumed for braking."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +53,12 @@ def run_on(plan: Plan, goes_on: float) -> RunOn:
     speed[:, :2] = world_from_heading(speed[:, :2], -yaw)
     gain, b = tracker.gamma[:6:2], np.maximum(tracker.gamma[1:6:2], 1e-3)
     push = gain * flight.command[:, :3]
-    faded, delay = -np.expm1(-b * goes_on) / b, np.array(plan.belief["delay"][:3])
+    faded = -np.expm1(-b * goes_on) / b
     way = speed * faded + push * (goes_on - faded) / b
     speed = speed * np.exp(-b * goes_on) + push * faded
-    way += speed * (delay + np.where(b >= SERVO, 1 / b, 0.0))
-    brake = SHARE * np.abs(gain) * np.minimum(tracker.full_scale[:3], 1.0)
-    way += np.where(b >= SERVO, 0.0, speed * np.abs(speed) / (2 * brake))
+    believed = zip(gain, b, plan.belief["delay"][:3], tracker.full_scale[:3], strict=True)
+    reaction, deceleration = np.array([stopping(*(float(number) for number in axis)) for axis in believed]).T
+    way += speed * reaction + speed * np.abs(speed) / (2 * deceleration)
     way[:, :2] = world_from_heading(way[:, :2], yaw)
     return _worst(
         plan, np.asarray(at * 1e-9, np.float64), np.asarray(place[:, :3], np.float64), np.asarray(way, np.float64)

@@ -74,7 +74,7 @@ def designed(
     """A signal for one axis.
 
     Args:
-        design: `two_sines`, `multisine`, `chirp`, `doublets`, `3211` or `prbs`.
+        design: `multisine`, `chirp`, `doublets`, `3211` or `prbs`.
         amplitude: Largest value of the signal [its unit].
         duration: Duration [s].
         band: Lowest and highest frequency to excite [rad/s].
@@ -88,8 +88,6 @@ def designed(
     low, high = band
     if not 0 < low < high:
         raise ValueError(f"the band {low:g} to {high:g} rad/s is empty")
-    if design == "two_sines":
-        return Sines((amplitude / 2,) * 2, (1.3, 1.0), (np.pi / 2 if place == 1 else 0.0,) * 2)
     if design == "multisine":
         return multisine(amplitude, duration, band, place, of)
     if design == "chirp":
@@ -242,7 +240,7 @@ IDENT_AMPLITUDE = (0.5, 0.5, 0.5, 1.05)
 """Amplitude of the ident manoeuvre on x, y, z [m] and yaw [rad], as configured and in its source code."""
 
 
-def ident_reference(axis: str, amplitude: float = 1.0) -> Sines:
+def ident_reference(axis: str) -> Sines:
     """The position reference of drone_dev's `ident`: half the amplitude times the sum of two sines, cosines on yaw.
 
     x and y move together by 0.5 A (sin w t + sin t), then z alone by the same, then yaw by 0.5 B (cos w t + cos t), and
@@ -250,11 +248,10 @@ def ident_reference(axis: str, amplitude: float = 1.0) -> Sines:
 
     Args:
         axis: `x`, `y`, `z` or `yaw`.
-        amplitude: Factor on the amplitudes A and B.
 
     Source: jrsbenevides/drone_dev, src/planner/genTrajectory.cpp (trajectory `ident`), config/bebopParameters.yaml.
     """
-    half = 0.5 * amplitude * IDENT_AMPLITUDE[AXES.index(axis)]
+    half = 0.5 * IDENT_AMPLITUDE[AXES.index(axis)]
     return Sines((half, half), (IDENT_SPEED, 1.0), (np.pi / 2,) * 2 if axis == "yaw" else (0.0, 0.0))
 
 

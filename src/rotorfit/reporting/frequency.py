@@ -75,7 +75,7 @@ def _chart(comparison: ResponseComparison, what: str) -> Chart:
     x, factor = flight.frequency, 1.0 if gain else 1e3
     value, band = (flight.gain, flight.gain_band) if gain else (flight.delay, flight.delay_band)
     model, sides = (
-        (comparison.model_gain, comparison.gain_band) if gain else (comparison.model_delay, comparison.delay_band)
+        (comparison.model_gain, comparison.gain_band) if gain else (comparison.model_delay, comparison.model_delay_band)
     )
     lines = [Line("the flight itself", "measured", factor * value)]
     lines += [Line("95 % band", "band", factor * np.where(np.isfinite(end), end, np.nan)) for end in band.T]

@@ -59,7 +59,9 @@ if TYPE_CHECKING:
 @click.option(
     "--amplitude", type=float, metavar="A", help="Factor on the full amplitude; default: the largest that fits."
 )
-@click.option("--speed", type=float, metavar="V", help="Largest speed along x and y [m/s]; default: 1.5.")
+@click.option(
+    "--speed", type=float, metavar="V", help="Largest horizontal speed; below 1, of the climb too [m/s]; default: 1.5."
+)
 @click.option("--seed", type=SEED, default=0, metavar="N", help="Random seed; default: 0.")
 @click.option(
     "-o", "output", type=file_at(), metavar="plan.toml", help="Write the plan; an edited one is not overwritten."

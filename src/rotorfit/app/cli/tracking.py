@@ -23,8 +23,10 @@ from rotorfit.app.cli.options import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rotorfit.app.live.outlets import Recording, Remembering
     from rotorfit.app.live.regained import Message, Regaining
     from rotorfit.app.live.serving import Views
+    from rotorfit.core.errors import RotorfitError
     from rotorfit.core.flight_data import Flight
     from rotorfit.core.tracked import Track, Tracked
     from rotorfit.tracking.earlier import Earlier
@@ -145,17 +147,15 @@ def track(
     earlier = earlier_of(after) if after else None
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     asked = _Asked(card, structure, false_alarms, pace, jsonl, earlier, regaining)
-    lost = stopped = ""
+    stopped, trouble = "", None
     with Views(page, foxglove, publish, str(link or log), lambda text: click.echo(text, err=True)) as views:
         if link is not None:
-            result, flight, lost = _listened(link, asked, views, seconds, patience, record, memory)
+            result, flight, trouble = _listened(link, asked, views, seconds, patience, record, memory)
         else:
             result, flight, stopped = _replayed(str(log), asked, views)
         _told(result, flight, asked, output, report)
-    if lost:
-        from rotorfit.core.errors import LinkError
-
-        raise LinkError(f"{link}: {lost}")
+    if trouble:
+        raise trouble
     if stopped:
         raise SystemExit(1)  # all results are complete, but the log was not read to its end
 
@@ -274,12 +274,13 @@ def _listened(
     patience: float,
     record: Path | None,
     memory: Path | None,
-) -> tuple["Track", "Flight | None", str]:
-    """Tracks a link; the track, the remembered part of the flight, and why the link was lost, or an empty string."""
-    from rotorfit.app.live.outlets import Outlet, Recording, Remembering
+) -> tuple["Track", "Flight | None", "RotorfitError | None"]:
+    """Tracks a link; the track, the remembered part of the flight, and the loss of the link or of a file, if any."""
+    from rotorfit.app.live.outlets import Recording, Remembering
     from rotorfit.app.live.session import card_for_link, track_link, with_recording
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
     from rotorfit.app.terminal.tracking import line_of
+    from rotorfit.core.errors import LinkError, LogError
     from rotorfit.flying.links.opening import open_listener
     from rotorfit.flying.links.sim import changes_missed
     from rotorfit.flying.listening import Listening
@@ -297,10 +298,8 @@ def _listened(
     for told in limits_of_earlier(asked.earlier, chosen) if asked.earlier else ():
         say(told)
     compiled_beforehand()
-    show_state = _shown(asked.jsonl)
     with operator_abort() as abort:
         listening = Listening(lambda: open_listener(link, chosen), patience, seconds, asked.pace or 1.0, abort)
-        path = str(record) if record else UNRECORDED
         with Tracker(
             chosen,
             asked.structure,
@@ -308,9 +307,10 @@ def _listened(
             after=asked.earlier,
             live=True,
             paced=not listening.live,
-            path=path,
+            path=str(record) if record else UNRECORDED,
             tuned=asked.regaining is not None,
         ) as tracker:
+            recording = Recording(record, chosen, link) if record else None
             remembering = Remembering(memory, tracker) if memory else None
             if remembering and remembering.recalled:
                 say(f"goes on from {memory}")
@@ -318,27 +318,39 @@ def _listened(
                 from rotorfit.flying.links.sim_pilot import NAME
 
                 say(NAME)
-            outlets: list[Outlet] = [views]
-            recording = Recording(record, chosen, link) if record else None
-            outlets += [recording] if recording else []
-            outlets += [remembering] if remembering else []
+            files = [file for file in (recording, remembering) if file]
             if asked.regaining:
-                asked.regaining.listeners += [outlet.gains for outlet in outlets]
-
-            def report(state: "Tracked", now: int) -> None:
-                """Shows a state, and tunes by it."""
-                show_state(state)
-                if asked.regaining:
-                    asked.regaining.state(state, now)
-
+                asked.regaining.listeners += [outlet.gains for outlet in (views, *files)]
+            moving = [*views.moving, *([recording.motion] if recording else [])]
             with shown_line(lambda: line_of(tracker.state())):
-                moving = [*views.moving, *([recording.motion] if recording else [])]
-                result = track_link(tracker, listening, outlets, report, say, moving)
+                report = _reporting(asked, files, say)
+                result = track_link(tracker, listening, [views, *files], report, say, moving)
             if missed := changes_missed(link, listening.now):
                 say(missed)
             if record:
                 result = with_recording(result, record)
-    return result, tracker.flight(), listening.ended if listening.lost else ""
+    trouble: RotorfitError | None = LinkError(f"{link}: {listening.ended}") if listening.lost else None
+    if fault := next((file.fault for file in files if file.fault), ""):
+        trouble = LogError(fault)
+    return result, tracker.flight(), trouble
+
+
+def _reporting(
+    asked: _Asked, files: "Sequence[Recording | Remembering]", say: "Callable[[str], None]"
+) -> "Callable[[Tracked, int], None]":
+    """A function that shows each state of a link, tunes by it, and says once why a file does not grow any more."""
+    show_state, said = _shown(asked.jsonl), set[str]()
+
+    def report(state: "Tracked", now: int) -> None:
+        """Takes a state and the link's clock [ns]."""
+        show_state(state)
+        if asked.regaining:
+            asked.regaining.state(state, now)
+        for fault in {file.fault for file in files} - said - {""}:
+            said.add(fault)
+            say(fault)
+
+    return report
 
 
 def _shown(jsonl: bool) -> "Callable[[Tracked], None]":

@@ -68,6 +68,8 @@ class Recording:
 
     def heard(self, samples: Sequence[Sample], now: int) -> None:
         """Writes samples; the file begins with the first pose, which determines the clock that times the poses."""
+        if self.fault:
+            return
         self._waiting += samples
         pose = next((one for one in self._waiting if one.stream == "pose"), None)
         if self._recorder is None:
@@ -86,7 +88,7 @@ class Recording:
 
     def state(self, state: Tracked, now: int) -> None:
         """Writes a state and its alarms, the alarms also as events."""
-        if self._recorder is None:
+        if self._recorder is None or self.fault:
             return
         for alarm in state.alarms:
             self._recorder.json_message(ALARM, now, alarm.to_mapping())
@@ -103,16 +105,15 @@ class Recording:
         if self._recorder is not None:
             self._recorder.json_message(GAINS, now, message)
 
-    def close(self) -> None:
-        """Ends the file.
+    @property
+    def fault(self) -> str:
+        """Why the file ends before the flight; empty if it does not."""
+        return self._recorder.fault if self._recorder else ""
 
-        Raises:
-            LogError: The disk failed before the end.
-        """
+    def close(self) -> None:
+        """Ends the file."""
         if self._recorder is not None:
             self._recorder.close()
-            if self._recorder.fault:
-                raise LogError(self._recorder.fault)
 
 
 class Remembering:
@@ -156,18 +157,12 @@ class Remembering:
         """Does nothing: gains are not part of the memory."""
 
     def close(self) -> None:
-        """Writes the memory a last time.
-
-        Raises:
-            LogError: The disk failed.
-        """
+        """Writes the memory a last time; a disk that fails sets `fault`."""
         self._memory = self._tracker.memory()
         self._over.set()
         self._due.set()
         self._thread.join()
         self._held.close()
-        if self.fault:
-            raise LogError(self.fault)
 
     def _run(self) -> None:
         """Body of the thread; a failed write sets `fault`."""

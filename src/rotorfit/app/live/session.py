@@ -3,6 +3,7 @@
 import hashlib
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -86,7 +87,10 @@ def track_link(
             outlet.state(state, now)
         report(state, now)
 
-    try:
+    with ExitStack() as closing:
+        for outlet in outlets:
+            closing.callback(outlet.close)
+        closing.callback(tracker.close)  # the last comes first
         for heard in listening:
             now = heard.now
             if heard.news:
@@ -107,10 +111,6 @@ def track_link(
         last, regimes = tracker.finish()
         for state in (*tracker.news(), last):
             tell(state)
-    finally:
-        tracker.close()
-        for outlet in outlets:
-            outlet.close()
     return Track(tuple(states), regimes)
 
 

@@ -4,6 +4,7 @@ Source: R. A. Fisher, Statistical Methods for Research Workers, 4th ed., 1932 (s
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from rotorfit.core.laws import Structure, structure_named
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Model
 from rotorfit.core.results import Motion
 from rotorfit.dynamics.kinematics import motion_from_flight
-from rotorfit.dynamics.transfer_function import has_transfer_function, law_response
+from rotorfit.dynamics.transfer_function import has_transfer_function, law_phase, law_response
 
 
 def response_test(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, ResponseComparison], ...]:
@@ -57,6 +58,7 @@ def compared(model: Model, flight: Flight, axis: str, motion: Motion | None = No
     if point is None or not has_transfer_function(structure) or not measured.frequency.size:
         return ResponseComparison(measured)
     modelled = law_response(structure, point, measured.frequency)
+    measured = replace(measured, expected=law_phase(structure, point, measured.frequency))
     gain, delay = model_bands(model, axis, measured.frequency)
     return ResponseComparison(measured, modelled, gain, delay, law_test(bands, structure, point))
 
@@ -65,13 +67,13 @@ def compared(model: Model, flight: Flight, axis: str, motion: Motion | None = No
 
 
 def model_bands(model: Model, axis: str, omega: Array) -> tuple[Array, Array]:
-    """95 % bands of a model's gain and delay at some frequencies, from its covariance, each (K, 2); NaN without one."""
+    """95 % bands of a model's gain (K, 2), and half widths of those of its delay (K,) [s]; NaN without a covariance."""
     known = model.axes[axis]
     structure, point = structure_named(known.structure), known.predictor
     assert point is not None
     covariance = _covariance(model, axis, structure, known)
     if covariance is None:
-        return np.full((omega.size, 2), np.nan), np.full((omega.size, 2), np.nan)
+        return np.full((omega.size, 2), np.nan), np.full(omega.size, np.nan)
     at = coordinates(structure, point)
     step = 1e-5 * np.eye(at.size)
     moved = [
@@ -80,15 +82,10 @@ def model_bands(model: Model, axis: str, omega: Array) -> tuple[Array, Array]:
         for d in step
     ]  # fmt: skip
     slope = np.stack(moved, axis=1)
-    middle = law_response(structure, point, omega)
     half = NORMAL * np.sqrt(np.einsum("kp,pq,kq->k", slope.real, covariance, slope.real))
     late = NORMAL * np.sqrt(np.einsum("kp,pq,kq->k", slope.imag, covariance, slope.imag)) / omega
-    delay = -np.unwrap(np.angle(middle)) / omega
-    gain = np.abs(middle)
-    return (
-        np.stack([gain * np.exp(-half), gain * np.exp(half)], axis=1),
-        np.stack([delay - late, delay + late], axis=1),
-    )
+    gain = np.abs(law_response(structure, point, omega))
+    return np.stack([gain * np.exp(-half), gain * np.exp(half)], axis=1), late
 
 
 def _covariance(model: Model, axis: str, structure: Structure, known: Axis) -> Array | None:
@@ -168,7 +165,7 @@ def response_mapping(comparison: ResponseComparison) -> dict[str, Any]:
         "model_gain": comparison.model_gain.tolist() or None,
         "model_gain_ci95": _pairs(comparison.gain_band) or None,
         "model_delay": comparison.model_delay.tolist() or None,
-        "model_delay_ci95": _pairs(comparison.delay_band) or None,
+        "model_delay_ci95": _pairs(comparison.model_delay_band) or None,
         "law_p": None if law is None else law.p,
         "law_statistic": None if law is None else law.statistic,
         "law_freedom": None if law is None else law.freedom,

@@ -11,7 +11,7 @@ first order, its command times the turn.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -116,12 +116,6 @@ class Spectra:
         """The spectra times a factor, shape (F,)."""
         parts = (self.motion, self.command, self.instrument, self.turned, self.turning)
         return Spectra(self.duration, self.frequency, *(part * factor for part in parts))
-
-    def turned_later(self, late: float) -> "Spectra":
-        """With commands that turn with the heading of a time after their own by `late` [s], to first order."""
-        alike = self.instrument is self.command
-        command = self.command + late * self.turning
-        return replace(self, command=command, instrument=command if alike else self.instrument)
 
 
 def windows_of(flight: Flight, axis: str) -> tuple[Window, ...]:

@@ -21,7 +21,6 @@ import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.core.model import NORMAL
-from rotorfit.core.results import student_quantile
 
 TAIL = 3.0
 """Degrees of freedom of the half t: heavy tails, but a finite variance."""
@@ -41,7 +40,6 @@ class RandomEffects:
         next_sd: The same for the value on the next flight.
         spread: Posterior median of the spread tau.
         reml: Spread by restricted maximum likelihood, without the prior; None for one flight.
-        knapp_hartung: 95 % interval of mu by Hartung and Knapp, without the prior; None for one flight.
         p_value: Probability of a larger Cochran's Q under zero spread; None for one flight.
     """
 
@@ -51,7 +49,6 @@ class RandomEffects:
     next_sd: float
     spread: float
     reml: float | None
-    knapp_hartung: tuple[float, float] | None
     p_value: float | None
 
 
@@ -77,7 +74,6 @@ def random_effects(value: Array, error: Array, scale: float) -> RandomEffects:
         next_sd=mixed_half_width(spread + tau**2, share) / NORMAL,
         spread=float(np.interp(0.5, np.cumsum(share), tau)),
         reml=_reml(value, error) if alone else None,
-        knapp_hartung=_knapp_hartung(value, error) if alone else None,
         p_value=_chi_squared(float(misfit[0]), len(value) - 1) if alone else None,
     )
 
@@ -151,15 +147,6 @@ def _reml(value: Array, error: Array) -> float:
 
     best = minimize_scalar(loss, bounds=(0.0, 3 * float(np.ptp(value)) + 1e-12), method="bounded")
     return float(best.x) if best.fun < loss(0.0) else 0.0
-
-
-def _knapp_hartung(value: Array, error: Array) -> tuple[float, float]:
-    """95 % interval of the mean by Hartung and Knapp, with their factor bounded below by 1."""
-    weight = 1 / (error**2 + _reml(value, error) ** 2)
-    mean, freedom = float(weight @ value / weight.sum()), len(value) - 1
-    factor = max(float(weight @ (value - mean) ** 2) / freedom, 1.0)
-    half = student_quantile(freedom) * float(np.sqrt(factor / weight.sum()))
-    return mean - half, mean + half
 
 
 def _chi_squared(statistic: float, freedom: int) -> float:

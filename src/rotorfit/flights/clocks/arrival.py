@@ -18,6 +18,7 @@ from rotorfit.core.card import Card, Channel
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
+from rotorfit.flights.clocks.lower_line import line_below
 from rotorfit.flights.columns import table_of
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps, rate, stamps_of
 
@@ -76,9 +77,6 @@ def straightened(arrival: Stamps) -> Straight | None:
     Returns:
         The stamps; None where the data do not show a regular sender with jittered arrivals: too few messages, little
         jitter, no bursts, or a lateness that drifts or persists.
-
-    Source: the lower envelope as a linear program: S. B. Moon, P. Skelly, D. Towsley, Estimation and removal of clock
-    skew from network delay measurements, INFOCOM 1999, pp. 227-234.
     """
     rows = np.flatnonzero(arrival != MISSING_STAMP)
     rows = rows[arrival[rows] >= np.maximum.accumulate(arrival[rows])] if rows.size else rows
@@ -90,32 +88,13 @@ def straightened(arrival: Stamps) -> Straight | None:
         return None
     if np.mean(np.diff(time) < BURST * period) < BURST_SHARE:
         return None
-    start, period = _envelope(time)
+    start, period = line_below(np.arange(time.size, dtype=float), time)
     late = time - start - period * np.arange(time.size)
     if not _steady(late):
         return None
     stamps = arrival.copy()
     stamps[rows] -= np.round(late * 1e9).astype(np.int64)
     return Straight(stamps, period, float(np.mean(late)), float(np.percentile(late, 95)))
-
-
-def _envelope(time: Array) -> tuple[float, float]:
-    """Start [s] and period [s] of the line that lies below all points with the least mean distance.
-
-    It is the edge of the lower convex hull that spans the middle of the message numbers.
-    """
-    hull: list[int] = []
-    for k in range(time.size):
-        while len(hull) > 1:
-            i, j = hull[-2:]
-            if (time[j] - time[i]) * (k - i) < (time[k] - time[i]) * (j - i):
-                break
-            hull.pop()
-        hull.append(k)
-    right = max(1, int(np.searchsorted(hull, (time.size - 1) / 2)))
-    i, j = hull[right - 1], hull[right]
-    period = float(time[j] - time[i]) / (j - i)
-    return float(time[i]) - period * i, period
 
 
 def _steady(late: Array) -> bool:

@@ -22,6 +22,7 @@ from rotorfit.core.card import Card, Channel
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.log import Log
+from rotorfit.flights.clocks.lower_line import line_below
 from rotorfit.flights.clocks.motion_signals import attitude_clock, velocity_clock
 from rotorfit.flights.columns import table_of
 from rotorfit.flights.other_tables import sample_rows
@@ -132,7 +133,7 @@ def correction(stamps: Stamps, arrivals: Stamps) -> Correction | None:
     base, late = float(np.median(late)), late - float(np.median(late))  # keeps numbers small if the epochs differ
     at, sizes = _steps(time, stamps, arrivals, late)
     stepped = np.concatenate([[0.0], np.cumsum(sizes)])[np.searchsorted(at, np.arange(late.size), side="right")]
-    start, drift = _line_below(time, late - stepped)
+    start, drift = line_below(time, late - stepped)
     if not _drifts(time, late - stepped, drift):
         if not sizes.size:
             return None
@@ -173,26 +174,6 @@ def _steps(time: Array, stamps: Stamps, arrivals: Stamps, late: Array) -> tuple[
         if min(before.size, after.size) > 4 and abs(size) > LEAST_STEP and abs(size + sent[i - 1]) < 0.5 * abs(size):
             found.append((i, size))
     return np.array([i for i, _ in found], dtype=np.int64), np.array([size for _, size in found])
-
-
-def _line_below(time: Array, late: Array) -> tuple[float, float]:
-    """Value at time 0 [s] and slope of the line that lies below all points with the least mean distance.
-
-    It is the edge of the lower convex hull that spans the mean time.
-    """
-    hull: list[int] = []
-    t, y = time.tolist(), late.tolist()  # Python floats: one by one, those of NumPy take ten times as long
-    for k in range(len(t)):
-        while len(hull) > 1:
-            i, j = hull[-2:]
-            if (y[j] - y[i]) * (t[k] - t[i]) < (y[k] - y[i]) * (t[j] - t[i]):
-                break
-            hull.pop()
-        hull.append(k)
-    right = min(max(1, int(np.searchsorted(time[hull], np.mean(time)))), len(hull) - 1)
-    i, j = hull[right - 1], hull[right]
-    slope = float((late[j] - late[i]) / (time[j] - time[i]))
-    return float(late[i]) - slope * float(time[i]), slope
 
 
 def _drifts(time: Array, late: Array, drift: float) -> bool:

@@ -127,7 +127,7 @@ class MavlinkLink:
         self._requests = deque[int](maxlen=REQUESTS)  # for the autopilot's clock, when they were made
         self._echoed = self._trip = 0  # when the last answer came, and how long it took [ns]
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
-        self._asked, self._tries = 0, 0
+        self._asked, self._tries, self._said = 0, 0, "no answer"
         self._first_setpoint = self._last_setpoint = 0
         self._sending = False
         self._engaged = self._climbing = self._landing = self._in_our_mode = False
@@ -308,8 +308,7 @@ class MavlinkLink:
 
     def _ask(self, *steps: str) -> None:
         self._steps.extend(steps)
-        self._tries = 0
-        self._repeat()
+        self._begin()
 
     def _engage(self, now: int) -> None:
         """Requests the flight mode once the vehicle is in the air, once a second, for a limited time."""
@@ -320,6 +319,11 @@ class MavlinkLink:
             self._trouble = f"mavlink: {self._known.name} accepts {self._known.mode_name} but does not enter it"
         else:
             self._ask("mode")
+
+    def _begin(self) -> None:
+        """Sends the first step for the first time."""
+        self._tries, self._said = 0, "no answer"
+        self._repeat()
 
     def _repeat(self) -> None:
         """Sends the first step, or repeats it."""
@@ -356,13 +360,15 @@ class MavlinkLink:
     def _answered(self, command: int, result: int) -> None:
         if not self._steps or command_parameters(self._steps[0], self._known)[0] != command:
             return
+        self._said = RESULTS[result] if result < len(RESULTS) else f"result {result}"
         if result == ACCEPTED:
             self._steps.popleft()
-            self._tries = 0
             if self._steps:
-                self._repeat()
-        elif result not in (IN_PROGRESS, TEMPORARILY_REJECTED):
-            self._give_up(RESULTS[result] if result < len(RESULTS) else f"result {result}")
+                self._begin()
+        elif result == IN_PROGRESS:
+            self._asked = wall_clock()  # asked again only when no more is heard of it
+        elif result != TEMPORARILY_REJECTED:
+            self._give_up(self._said)
 
     def _give_up(self, why: str) -> None:
         step = STEP_NAMES.get(self._steps.popleft(), f"enter {self._known.mode_name}")
@@ -375,7 +381,7 @@ class MavlinkLink:
         return f"{text}; it says: {'; '.join(words)}" if words else f"{text}; its own messages say why (ground station)"
 
     def _keep_alive(self) -> None:
-        """Sends our heartbeat and a clock request once a second, and repeats a step that was not answered."""
+        """Sends our heartbeat and requests of the clock, and repeats a step that was not accepted yet."""
         now = wall_clock()
         if self._autopilot is not None and now - self._beaten >= SECOND:
             self._beaten = now
@@ -394,7 +400,7 @@ class MavlinkLink:
             if self._tries < TRIES:
                 self._repeat()
             else:
-                self._give_up("no answer")
+                self._give_up(self._said)
 
     def _close(self) -> None:
         if self._open:

@@ -69,7 +69,7 @@ class TelloLink:
         self.live = True
         self.fail_safe, self.silence = card.fail_safe or FAIL_SAFE, Silence(card.hold or LANDS)
         self._commands, self._poses = tello_commands(card), pose_fields(card)
-        self._drone = (host, COMMAND_PORT)
+        self._drone, self._state_port = (host, COMMAND_PORT), state_port
         self._talk, self._state = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._inbox: list[Sample] = []
         self._replies: list[str] = []
@@ -102,7 +102,9 @@ class TelloLink:
         self.receive(wall_clock() + int(1e9 * SILENCE))
         if self._silent():
             self._close()
-            raise LinkError("tello: it answers but sends no state to UDP port 8890; let the firewall pass it")
+            raise LinkError(
+                f"tello: it answers but sends no state to UDP port {self._state_port}; let the firewall pass it"
+            )
 
     def send(self, command: Sequence[float]) -> None:
         """Sets the sticks; see `links.Link`."""
