@@ -68,6 +68,17 @@ def test_each_test_fires_on_white_innovations_in_about_five_per_cent() -> None:
     assert np.all((fired > 300 * 0.02) & (fired < 300 * 0.09)), fired
 
 
+def test_the_strongest_lag_is_none_of_those_without_a_command() -> None:
+    rng = np.random.default_rng(5)
+    past = past_commands(rng)
+    past[:, :10] = 0.3  # has not changed yet
+    found = outcome(of(rng.standard_normal(N) + 0.3 * past[:, 14], past))
+
+    assert found.command_peak_lag == pytest.approx(0.5, abs=0.04)
+    assert found.command_peak is not None
+    assert found.command_peak > 1
+
+
 def test_gusts_do_not_make_white_innovations_look_coloured() -> None:
     """Gusts four times as strong, in bursts of 1 s: the classic p-value rejects far too often."""
     rng, plain, robust = np.random.default_rng(2), 0, 0

@@ -198,6 +198,14 @@ def test_repeated_commands(tmp_path: Path) -> None:
     assert numbers(found["repeated_commands", None]["evidence"])[1:] == [17, 33]
 
 
+def test_commands_that_change_in_every_row_are_known_to_within_it(tmp_path: Path) -> None:
+    log = Csv(flown(two_sines, truth=replace(TRUTH, pose_rate=25.0)))
+
+    found = said("info", *log.write_rows(tmp_path))
+    assert found["commands_by_row", None]["severity"] == "info"
+    assert numbers(found["commands_by_row", None]["evidence"])[-1] == 40
+
+
 # Commands
 
 

@@ -133,7 +133,7 @@ def test_the_quirks_of_real_flights_are_told(real_flights: Path) -> None:
     def codes(path: str) -> set[tuple[str, str | None]]:
         return set(said("info", str(real_flights / path)))
 
-    assert codes("bebop2-wsu/Training_CT_TestDay_X.mat") == {("wind_dominates", "yaw")}
+    assert codes("bebop2-wsu/Training_CT_TestDay_X.mat") == {("wind_dominates", "yaw"), ("commands_by_row", None)}
     assert codes("bebop2-optitrack/monster_vert_tst.bag") == {("short_data", None), ("stale_poses", None)}
     assert codes("bebop2-joystick/record_velocity.csv") >= {("stale_poses", None), ("repeated_commands", None)}
     assert ("velocity_follows_command", "yaw") in codes("dji-hexarotor/Datos_Prueba5.mat")

@@ -139,9 +139,8 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     poses = stamps_of(log, card.pose_time)[sample_rows(log, card.pose_time, card.pose)]
     yield from _command_gaps(flight)
     yield from _pose_gaps(flight)
-    one_row = card.command_time.source == card.pose_time.source and np.array_equal(commands, poses)
-    if one_row:
-        yield from _repeated(flight)
+    if flight.command_lateness:
+        yield from _by_row(flight)
     else:
         effect = "the time at which a command acts is no better known: the delay comes out wide or biased"
         yield from _jitter("command", commands, flight, effect)
@@ -289,19 +288,25 @@ def _stale(flight: Flight) -> Iterator[Finding]:
         )
 
 
-def _repeated(flight: Flight) -> Iterator[Finding]:
-    """Commands that are in every row of the poses but change in few."""
+def _by_row(flight: Flight) -> Iterator[Finding]:
+    """Commands in the rows of the poses: sent some time before the stamp of their row."""
     if len(flight.command_time) < 2 or not np.any(np.diff(flight.command, axis=0)):
         return
-    changed = np.any(np.diff(flight.command, axis=0) != 0, axis=1)
-    period = float(np.median(np.diff(flight.command_time)))
-    if np.mean(changed) < REPEATED_SHARE and period / 2 > LATENESS:
-        yield Finding(
-            "repeated_commands",
-            "info",
-            f"each row holds a command and a pose; commands change in {100 * np.mean(changed):.0f} % of the rows: a "
-            f"change bears the stamp of its row, {1e3 * period / 2:.0f} ms late in the mean, {1e3 * period:.0f} ms at "
-            "most",
-            f"delays come out up to {1e3 * period:.0f} ms too short; gain and damping keep their values",
-            "log commands by themselves, each with the stamp at which it was sent",
+    changed, period = float(np.mean(np.any(np.diff(flight.command, axis=0) != 0, axis=1))), flight.command_lateness
+    if period / 2 <= LATENESS:
+        return
+    late = f"{1e3 * period:.0f} ms"
+    each = f"each row holds a command and a pose; commands change in {100 * changed:.0f} % of the rows"
+    effect = (
+        f"delays come out up to {late} too short, and their intervals reach {late} higher; gain and damping keep their "
+        "values"
+    )
+    remedy = "log commands by themselves, each with the stamp at which it was sent"
+    if changed < REPEATED_SHARE:
+        evidence = (
+            f"{each}: a change bears the stamp of its row, {1e3 * period / 2:.0f} ms late in the mean, {late} at most"
         )
+        yield Finding("repeated_commands", "info", evidence, effect, remedy)
+    else:
+        evidence = f"{each}: a command bears the stamp of its row, and may have been sent up to {late} before"
+        yield Finding("commands_by_row", "info", evidence, effect, remedy)

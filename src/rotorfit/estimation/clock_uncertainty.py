@@ -1,7 +1,8 @@
-"""Model -> Model: the uncertainty of clock offsets and of velocity latencies is added to the interval of the delay."""
+"""Model -> Model: the uncertainty of clocks, rows and velocity latencies is added to the interval of the delay."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from rotorfit.core.model import NORMAL, Axis, Combination, Interval, Model
 from rotorfit.estimation.identifiability import WIDEST_DELAY
 
 _WITH_DELAY = ("total_lag", "delay_plus_lag")
+
+NOTHING: Mapping[str, float] = MappingProxyType({})
+"""No error of any axis."""
 
 
 def check_clocks(flights: Sequence[Flight]) -> None:
@@ -43,18 +47,31 @@ def clock_half_width(flights: Sequence[Flight], axis: str) -> float:
     return float(np.sqrt(sum((share / length * half) ** 2 for share, half in known))) if known else 0.0
 
 
+def row_period(flights: Sequence[Flight], axis: str) -> float:
+    """By how much the delay of an axis may be longer, as commands were sent before the stamps of their rows [s].
+
+    The mean over the flights, weighted by their length; a logger is as late on one flight as on the next.
+    """
+    k = AXES.index(axis)
+    moving = [f for f in flights if axis in f.axes and np.any(f.command[:, k])]
+    length = sum(f.duration for f in moving)
+    return sum(f.duration / length * f.command_lateness for f in moving)
+
+
 def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
     """The model with the uncertainty of its flights' clocks in the delays.
 
     Where an offset between two clocks was measured, or stamps were corrected by their arrival times, that error is
-    added in quadrature to the errors of the delay, of delay plus lag and of the total lag. Where only the response to
-    the commands revealed the offset, no delay is published.
+    added in quadrature to the errors of the delay, of delay plus lag and of the total lag. Where commands bear the
+    stamps of rows of poses, upper ends are raised by the period of the rows. Where only the response to the commands
+    revealed the offset, no delay is published.
 
     Args:
         model: As fitted to the stamps on one clock.
         flights: The flights that it was fitted to.
     """
-    wider = with_delay_error(model, {axis: clock_half_width(flights, axis) for axis in AXES}, (AXES,))
+    half = {axis: clock_half_width(flights, axis) for axis in AXES}
+    wider = with_delay_error(model, half, (AXES,), {axis: row_period(flights, axis) for axis in AXES})
     held = [flight.clocks for flight in flights if flight.clocks and flight.clocks.includes_delay]
     if not held:
         return wider
@@ -62,23 +79,28 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
     return replace(wider, axes={name: _without_delay(axis, offset) for name, axis in wider.axes.items()})
 
 
-def with_delay_error(model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]]) -> Model:
-    """The model with a further, independent error of its delays, added in quadrature.
+def with_delay_error(
+    model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]], longer: Mapping[str, float] = NOTHING
+) -> Model:
+    """The model with further, independent errors of its delays.
 
     Args:
         model: As fitted.
-        half: Axis to half the 95 % interval of that error [s].
-        shared: Groups of axes whose delays share the error.
+        half: Axis to half the 95 % interval of an error [s], added in quadrature.
+        shared: Groups of axes whose delays share the errors.
+        longer: Axis to the time by which the delay may be longer [s], added to the upper ends; any share of it is
+            equally likely.
     """
-    if not any(half.values()):
+    if not any(half.values()) and not any(longer.values()):
         return model
-    axes = {name: _widened(axis, half.get(name, 0.0)) for name, axis in model.axes.items()}
+    axes = {name: _widened(axis, half.get(name, 0.0), longer.get(name, 0.0)) for name, axis in model.axes.items()}
     covariance = model.covariance.copy()
     delays = [(i, name.split(".")[0]) for i, name in enumerate(model.covariance_names) if name.endswith(".delay")]
     for i, one in delays:
         for j, other in delays:
             if any(one in group and other in group for group in shared):
                 covariance[i, j] += half.get(one, 0.0) * half.get(other, 0.0) / NORMAL**2
+                covariance[i, j] += longer.get(one, 0.0) * longer.get(other, 0.0) / 12
     return replace(model, axes=axes, covariance=covariance)
 
 
@@ -101,36 +123,40 @@ def _without_delay(axis: Axis, offset: float | None) -> Axis:
     )
 
 
-def _widened(axis: Axis, half: float) -> Axis:
-    """The axis with an independent error of its delay added; `half` is half its 95 % interval [s]."""
+def _widened(axis: Axis, half: float, longer: float) -> Axis:
+    """The axis with independent errors of its delay added, see `with_delay_error` [s]."""
     center = axis.predictor.delay if axis.predictor else None
-    if center is None or not half or axis.ci95["delay"] == (None, None):
+    if center is None or not (half or longer) or axis.ci95["delay"] == (None, None):
         return axis
-    low, high = ends = _wider(axis.ci95["delay"], _middle(axis.ci95["delay"], axis.delay, center), half)
+    low, high = ends = _wider(axis.ci95["delay"], _middle(axis.ci95["delay"], axis.delay, center), half, longer)
     own = dict(axis.ci95_flight)
     if own:
-        own["delay"] = _wider(own["delay"], _middle(own["delay"], None, center), half)
+        own["delay"] = _wider(own["delay"], _middle(own["delay"], None, center), half, longer)
     error = axis.stderr["delay"]
     wide = low is None or high is None or high - low >= WIDEST_DELAY
     lost = wide or axis.status["delay"] != "ok"
     return replace(
         axis,
         delay=None if lost else axis.delay,
-        stderr={**axis.stderr, "delay": None if lost or error is None else float(np.hypot(error, half / NORMAL))},
+        stderr={**axis.stderr, "delay": None if lost or error is None else _summed(error, half, longer)},
         ci95={**axis.ci95, "delay": ends},
         ci95_flight=own,
         status={**axis.status, "delay": "not_identifiable"} if wide else axis.status,
-        combinations=_combined(axis.combinations, half),
+        combinations={
+            name: _combination(one, half, longer) if name in _WITH_DELAY else one
+            for name, one in axis.combinations.items()
+        },
     )
 
 
-def _combined(combinations: Mapping[str, Combination], half: float) -> dict[str, Combination]:
-    return {name: _combination(one, half) if name in _WITH_DELAY else one for name, one in combinations.items()}
+def _summed(error: float, half: float, longer: float) -> float:
+    """Standard error with those of the further errors; the variance of a uniform one is a twelfth of its square."""
+    return float(np.sqrt(error**2 + (half / NORMAL) ** 2 + longer**2 / 12))
 
 
-def _combination(one: Combination, half: float) -> Combination:
-    own = one.ci95_flight and _wider(one.ci95_flight, _middle(one.ci95_flight, None, one.value), half)
-    return replace(one, ci95=_wider(one.ci95, one.value, half), ci95_flight=own)
+def _combination(one: Combination, half: float, longer: float) -> Combination:
+    own = one.ci95_flight and _wider(one.ci95_flight, _middle(one.ci95_flight, None, one.value), half, longer)
+    return replace(one, ci95=_wider(one.ci95, one.value, half, longer), ci95_flight=own)
 
 
 def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
@@ -144,10 +170,10 @@ def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
     return otherwise if low is None or high is None or low <= otherwise <= high else 0.5 * (low + high)
 
 
-def _wider(ends: Interval, center: float, half: float) -> Interval:
-    """An interval with an independent error of its centre added in quadrature to each side."""
+def _wider(ends: Interval, center: float, half: float, longer: float) -> Interval:
+    """An interval with an independent error of its centre added in quadrature to each side, and one to its end."""
     low, high = ends
     return (
         None if low is None else center - float(np.hypot(center - low, half)),
-        None if high is None else center + float(np.hypot(high - center, half)),
+        None if high is None else center + float(np.hypot(high - center, half)) + longer,
     )

@@ -22,8 +22,9 @@ from rotorfit.flights.columns import unit_note
 from rotorfit.flights.command_hold import with_judged_hold
 from rotorfit.flights.low_pass import without_low_pass
 from rotorfit.flights.onboard_velocity import in_the_world, velocities_of, with_travel
+from rotorfit.flights.other_tables import sample_rows
 from rotorfit.flights.several_files import bound
-from rotorfit.flights.stamps import Stamps
+from rotorfit.flights.stamps import Stamps, median_period, stamps_of
 from rotorfit.flights.streams import Stream, closed, commands_of, keep_samples, poses_of, reference_of
 
 LEAST = 1.0
@@ -203,7 +204,19 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         clocks=clocks,
         velocity=velocity,
         stamp_error=stamp_error,
+        command_lateness=_row_period(log, card),
     )
+
+
+def _row_period(log: Log, card: Card) -> float:
+    """Period of rows that hold a command and a pose [s]; 0 where commands have rows of their own."""
+    if log.file_of or card.command_time.source != card.pose_time.source:
+        return 0.0
+    commands, poses = (
+        stamps_of(log, time)[sample_rows(log, time, channels)]
+        for time, channels in ((card.command_time, card.command), (card.pose_time, card.pose))
+    )
+    return (median_period(commands) or 0) / 1e9 if np.array_equal(commands, poses) else 0.0
 
 
 def _read_notes(log: Log) -> Iterator[Note]:

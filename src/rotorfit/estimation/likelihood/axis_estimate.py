@@ -29,9 +29,10 @@ from rotorfit.estimation.likelihood.optima import (
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior
 
-EXPLAINS = 0.9
+EXPLAINS = 0.82
 """In a feedback loop the commands must reduce the 1 s prediction error on the training flights below this share of the
-error without them; else the axis counts as not excited, whatever the likelihood."""
+error without them; else the axis counts as not excited, whatever the likelihood. In a simulated room and on recorded
+flights it is at most 0.76 for excited axes, and at least 0.88 for axes that are only held."""
 
 HELPS = 0.99
 """The same in an open loop, where the likelihood can be trusted."""
