@@ -29,6 +29,7 @@ from rotorfit.diagnosis.recognition import (
     reference_in,
     velocity_in,
     windows_in,
+    z_up,
 )
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.files.cards import builtin_card_text, card_from_mapping
@@ -227,7 +228,8 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     if name:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
-    asked = _better_read(log, _in_the_better_frame(log, _in_degrees(log, _asked(log, found_in(log)))))
+    asked = _upright(log, _in_degrees(log, _asked(log, found_in(log))))
+    asked = _better_read(log, _in_the_better_frame(log, asked))
     found, told = asked.found, asked.answers
     if told is None:
         return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
@@ -295,6 +297,18 @@ def _in_degrees(log: Log, asked: _Asked) -> _Asked:
         return asked
     why = f"yaw is in degrees by the motion: in radians it turns with {rate:.2g} rad/s (RMS), too much for any vehicle"
     return _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
+
+
+def _upright(log: Log, asked: _Asked) -> _Asked:
+    """The draft with the pose's axes permuted if the vertical command moves its y, as where motion capture has y up."""
+    climbs = asked.answers.of.get("z") if asked.answers else None
+    if climbs is None or climbs.axis != "y" or asked.found.alone or asked.found.pose_frame == "NED":
+        return asked
+    why = "y points up by the motion, so the axes are permuted cyclically"
+    pose = z_up(asked.found.pose)
+    other = _asked(log, replace(asked.found, pose=pose, remarks={**asked.found.remarks, "x": why}))
+    right = other.answers.of.get("z") if other.answers else None
+    return other if right and right.axis == "z" and right.sign > 0 else asked
 
 
 def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:

@@ -108,7 +108,10 @@ def frame_findings(recording: Recording) -> Iterator[Finding]:
 def _other_turns(card: Card, turning: float) -> list[float]:
     """Candidates for k if the card is wrong; empty where the vehicle turned too little."""
     yaw = card.pose.get("yaw")
-    others = [(2.0, 0.0), (0.0, -1.0)][card.command_frame == "heading"] if turning > TURNING else ()
+    heading = card.command_frame == "heading"
+    others = ([0.0, -1.0] if heading else [2.0, 0.0]) if turning > TURNING else []
+    if heading and SLIGHT < turning <= TURNING:
+        others = [-1.0]  # twice as far from the heading as the world's axes, so that it is told with less turning
     angle = yaw.unit or "rad" if yaw and card.frame == "ENU" else None
     units = []
     if angle == "rad" and (SLIGHT < turning <= TURNING or turning * DEGREE > TURNING):

@@ -122,7 +122,7 @@ def pose_in(log: Log) -> Recognised:
     """Quantity to column of the pose, by name; with several tables the heading may come from another table."""
     if log.format in ("motive", "vicon"):
         body = _recognised(log, lambda _, table: _named(table, _BODY))
-        return _z_up(body) if log.format == "motive" else body
+        return z_up(body) if log.format == "motive" else body
     pose = _recognised(log, _pose)
     if not pose.channels.keys() & {"x", "y", "z"} or pose.channels.keys() & {"yaw", "qw"} or len(log.tables) == 1:
         return pose
@@ -291,7 +291,7 @@ def _asked(log: Log, table: Table) -> bool:
     return (len(log.tables) > 1 or table.name.startswith("/")) and re.search(_ASKED, table.name.lower()) is not None
 
 
-def _z_up(body: Recognised) -> Recognised:
+def z_up(body: Recognised) -> Recognised:
     """A pose of Motive, which has y up: the three axes are permuted cyclically, so no sign changes."""
     return replace(body, channels={axis: body.channels[own] for axis, own in _Y_UP.items() if own in body.channels})
 
