@@ -54,6 +54,8 @@ def test_a_draft_for_ros_messages_loads_and_gives_the_flight(
         {"cmd_x": "u_x", "cmd_y": "u_y", "cmd_z": "u_z", "cmd_yaw": "u_psi", "x": "pos_x", "y": "pos_y", "z": "pos_z"},
         {"cmd_x": "ux", "cmd_y": "uy", "cmd_z": "uz", "cmd_yaw": "uyaw", "x": "x_pos", "y": "y_pos", "z": "z_pos"},
         {"cmd_x": "cmdPitch", "cmd_y": "cmdRoll", "cmd_z": "cmd_climb", "cmd_yaw": "cmd_yaw_rate", "yaw": "Heading"},
+        {"cmd_x": "cmd_fwd", "cmd_y": "cmd_left", "cmd_z": "cmd_up", "cmd_yaw": "cmd_turn"},
+        {"cmd_x": "pitch_pct", "cmd_y": "roll_pct", "cmd_z": "throttle_pct", "cmd_yaw": "yaw_pct"},
         {"cmd_x": "vx_ref", "cmd_y": "vy_ref", "cmd_z": "vz_ref", "cmd_yaw": "yaw_rate_ref", "time": "Time"},
         {"cmd_x": "cmd_vel.linear.x", "cmd_y": "cmd_vel.linear.y", "cmd_z": "cmd_vel.linear.z"}
         | {"cmd_yaw": "cmd_vel.angular.z", "x": "pose.position.x", "y": "pose.position.y", "z": "pose.position.z"},
@@ -428,6 +430,26 @@ def test_a_draft_reads_a_mirrored_pose_as_the_motion_bears_out(
     assert card.pose[axis] == channel
     assert "by the motion: EDIT if that is not so" in text
     assert (card.command_frame, {one.scale for one in card.command.values()}) == ("heading", {1})
+
+
+def test_a_draft_turns_a_pose_whose_y_is_up(tmp_path: Path) -> None:
+    """Motion capture often has it; a cyclic permutation needs no sign."""
+    true = turning()
+    half, none = true["yaw"] / 2, np.zeros_like(true["yaw"])
+    pose = {"x": true["y"], "y": true["z"], "z": true["x"]}
+    pose |= {"qw": np.cos(half), "qx": none, "qy": np.sin(half), "qz": none}
+    card, text = drafted(pose, COMMAND, tmp_path)
+
+    assert {axis: card.pose[axis].source for axis in "xyz"} == {"x": "z", "y": "x", "z": "y"}
+    assert {part: card.pose[f"q{part}"].source for part in "wxyz"} == {"w": "qw", "x": "qz", "y": "qx", "z": "qy"}
+    assert "y points up by the motion" in text
+    assert card.command["z"] == Channel("cmd_z")
+
+
+def test_a_draft_says_ned_where_the_height_is_named_down() -> None:
+    text = draft_card(csv_log(x="north_mm", y="east_mm", z="down_mm"))
+
+    assert 'frame = "NED"  # of the pose, by its names' in text
 
 
 def test_a_draft_finds_degrees_that_are_not_wrapped_by_the_motion(tmp_path: Path) -> None:

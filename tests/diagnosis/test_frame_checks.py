@@ -70,6 +70,17 @@ def test_commands_that_nobody_followed_have_no_direction() -> None:
     assert codes(strange) == []
 
 
+def test_a_heading_that_is_counted_the_other_way_round_is_told_with_little_turning() -> None:
+    """By twice the heading off: it is no matter of degrees, nor of the world's frame."""
+    little = flown(TRUTH, steps(("x", "y", "yaw"), (0.2, 0.2, 0.2, 0.1), seed=4), 60.0, 4)
+    assert np.radians(3) < np.std(little.yaw) < np.radians(20)
+    told = list(frame_findings(recording_of(NO_LOG, replace(little, yaw=-little.yaw))))
+
+    assert codes(little) == []
+    assert [one.code for one in told] == ["mirrored_pose"]
+    assert "scale = -1" in told[0].remedy
+
+
 def test_a_vehicle_that_never_turned_cannot_tell_frames_and_one_that_did_can() -> None:
     still, turning = flight(axes=("x", "y")), flight()
     for one, expected in ((still, []), (turning, ["command_frame"])):

@@ -691,6 +691,14 @@ def test_decimal_commas_are_understood_from_whichever_row_has_the_first(tmp_path
     np.testing.assert_array_equal(read(tmp_path / "a.csv").tables["a"].columns["x"], [0, 0.5, -1.25])
 
 
+def test_decimal_commas_are_understood_beside_dates_with_points(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t;x\n2025-03-01T10:00:00.000;0,5\n2025-03-01T10:00:00.250;-1,25\n")
+    columns = read(tmp_path / "a.csv").tables["a"].columns
+
+    np.testing.assert_array_equal(columns["x"], [0.5, -1.25])
+    assert np.diff(columns["t"]).tolist() == [250_000_000]
+
+
 def test_the_digest_is_that_of_the_file_and_of_a_folder_that_of_its_files_by_name(tmp_path: Path) -> None:
     from hashlib import sha256
 

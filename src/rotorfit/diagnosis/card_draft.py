@@ -23,6 +23,7 @@ from rotorfit.diagnosis.pose_checks import degrees_turned, position_unit
 from rotorfit.diagnosis.recognition import (
     Recognised,
     commands_in,
+    is_down,
     is_of_tello,
     is_of_the_body,
     pose_in,
@@ -76,7 +77,7 @@ def found_in(log: Log) -> DraftContents:
         dm = {axis: replace(channel, scale=10.0, unit="cm/s") for axis, channel in velocity.channels.items()}
         velocity = replace(velocity, channels=dm)
     of_velocity = "heading" if is_of_the_body(velocity) else "world"
-    return DraftContents(commands, pose, velocity, "heading", of_velocity, *_pose_frame(log, velocity))
+    return DraftContents(commands, pose, velocity, "heading", of_velocity, *_pose_frame(log, velocity, pose))
 
 
 def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: str = "") -> str:
@@ -143,8 +144,10 @@ def _is_whole(pose: Recognised) -> bool:
     return {"qw", "qx", "qy", "qz"} <= pose.channels.keys()
 
 
-def _pose_frame(log: Log, velocity: Recognised) -> tuple[str, str]:
-    """The frame of the pose according to the format, and its remark."""
+def _pose_frame(log: Log, velocity: Recognised, pose: Recognised) -> tuple[str, str]:
+    """The frame of the pose according to names and format, and its remark."""
+    if is_down(pose):
+        return "NED", 'of the pose, by its names; "ENU" where z points up'
     if is_of_tello(log, velocity):
         return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
     if log.format in FORMATS and FORMATS[log.format].ned:

@@ -26,6 +26,7 @@ _COMMAND_FAMILIES = (
     ("(?:cmd_vel|cmd|command)", "(?:v_?)?"),
     ("(?:u|input|ctrl|control)", "(?:v_?)?"),
     ("(?:ref|setpoint|sp|des|desired|target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
+    ("(?:pct|percent|stick)", "(?:v_?)?"),
 )
 
 _ASKED = "cmd|command|setpoint|target|goal|desired"
@@ -36,12 +37,12 @@ _SETPOINT = {axis: f"v_?{axis}|(?:velocity|vel|twist|linear)_{axis}|velocity_{i}
 
 _SETPOINT |= {"yaw": "yaw_?speed|yaw_?rate|r"}
 
-_TURN_RATE = "yaw|yaw_?rate|psi|psi_?dot|r|w|wz|ang_?z|angular_z"
+_TURN_RATE = "yaw|yaw_?rate|turn|rudder|psi|psi_?dot|r|w|wz|ang_?z|angular_z"
 
 _FORWARD, _LEFT, _UP = (
-    "lin_?x|linear_x|vf|pitch|theta|forward",
+    "lin_?x|linear_x|vf|pitch|theta|forward|fwd",
     "lin_?y|linear_y|vl|roll|phi|left",
-    "lin_?z|linear_z|ve|climb|up",
+    "lin_?z|linear_z|ve|climb|up|throttle|thrust",
 )
 
 _PLACE = "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|state|odom|drone|body)_?)*"
@@ -192,6 +193,13 @@ def windows_in(log: Log) -> list[tuple[str, str]]:
         if 0 < np.mean(np.nan_to_num(values.astype(np.float64)) != 0) < 1
     ]
     return [(source, "") for source in found[:1]]
+
+
+def is_down(pose: Recognised) -> bool:
+    """Whether the name of the vertical position says that it points down."""
+    return "z" in pose.channels and bool(
+        re.search(r"(?:^|_)(?:pd|down)$", name_without_unit(str(pose.channels["z"].source)))
+    )
 
 
 def lacking(log: Log) -> str:

@@ -316,9 +316,9 @@ def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
 
 
 def _with_points(rows: bytes, separator: str) -> bytes:
-    """Replaces decimal commas by points, if the first rows have them."""
+    """Replaces decimal commas by points, if the first rows have them and no points but those of times of day."""
     sample = rows[:_BLOCK]
-    if separator != "," and re.search(rb"\d,\d", sample) and not re.search(rb"\d\.\d", sample):
+    if separator != "," and re.search(rb"\d,\d", sample) and not re.search(rb"(?<!:\d)\d\.\d", sample):
         return rows.replace(b",", b".")
     return rows
 
