@@ -161,8 +161,8 @@ def test_ctrl_c_ends_it_with_everything_written(tmp_path: Path) -> None:
 
 
 def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:
-    memory = tmp_path / "memory"
-    words = [sys.executable, "-m", "rotorfit", "track", "--link", "sim", "--jsonl", "--state", str(memory)]
+    kept = ("--link", "sim", "--jsonl", "--state", str(tmp_path / "memory"), "--record", str(tmp_path / "flight.mcap"))
+    words = [sys.executable, "-m", "rotorfit", "track", *kept]
     last = 0.0
     with subprocess.Popen([*words, *QUICK[2:], "--pace", "4"], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -170,10 +170,12 @@ def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:
             last = json.loads(process.stdout.readline())["time"]
         time.sleep(0.3)
         os.kill(process.pid, signal.SIGKILL)
-    again = run("--link", "sim", "--for", "3", "--jsonl", "--state", str(memory), *QUICK)
+    again = run(*kept, "--for", "3", *QUICK)
     first = json.loads(again.stdout.splitlines()[0])["time"]
 
     assert first >= last - 1.0  # the flight that is remembered may be ahead of the last look that was told
+    assert "flight.mcap is kept; the recording goes on in" in again.stderr
+    assert all(read(tmp_path / name).tables for name in ("flight.mcap", "flight-2.mcap"))
 
 
 def test_the_page_shows_all_that_is_told_to_who_has_the_key_alone() -> None:

@@ -279,7 +279,7 @@ def test_a_model_beside_a_flight_of_another_law_is_a_finding_and_a_table() -> No
     assert line.startswith(
         f"all frequencies together: inconsistent with the law for any coefficients (p = {law.p:.3g}, "
     )
-    assert f"; the worst of {many} is off by {law.worst_sigmas:.1f} of its own standard errors, at " in line
+    assert f"; the worst of {many} is off by {law.worst_share:.1f} times its 95 % band, at " in line
     gain, delay = response_charts([axes])
     assert (gain.kind, delay.kind) == ("response_gain", "response_delay")
     assert {"measured", "band", "model"} <= {line.role for line in gain.lines}

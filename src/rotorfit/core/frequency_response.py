@@ -90,8 +90,9 @@ class LawTest:
         freedom: Real numbers in the bands less free coefficients.
         noise_freedom: Degrees of freedom of the denominator of the F distribution.
         p: p-value of the law.
-        worst: Frequency of the largest misfit [rad/s].
-        worst_sigmas: That misfit in standard errors.
+        worst: Frequency of the largest misfit, by the 95 % bands [rad/s].
+        worst_sigmas: That misfit in standard errors, which few degrees of freedom may make small.
+        worst_share: That misfit over the half width of the 95 % band.
     """
 
     statistic: float
@@ -100,6 +101,7 @@ class LawTest:
     p: float
     worst: float
     worst_sigmas: float
+    worst_share: float
 
 
 @dataclass(frozen=True)

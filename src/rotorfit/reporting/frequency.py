@@ -38,8 +38,8 @@ def _star(value: float, band: Array) -> str:
 def response_line(comparison: ResponseComparison) -> str:
     """The result of the test of the law, or why there is none.
 
-    The p-value is of all frequencies together, from noise that each knows from few degrees of freedom; the deviation is
-    the largest among them. So many standard errors of one frequency are no contradiction to a large p-value.
+    The p-value is of all frequencies together, the deviation is the largest among them, both with the law's best
+    coefficients for this flight.
     """
     law, flight = comparison.law, comparison.flight
     if not flight.frequency.size:
@@ -51,7 +51,7 @@ def response_line(comparison: ResponseComparison) -> str:
     worst = f"the worst of {many} is off" if many > 1 else "it is off"
     return (
         f"{'all frequencies together' if many > 1 else 'its one frequency'}: {verdict} (p = {law.p:.3g}, {law.freedom} "
-        f"degree{'s' * (law.freedom != 1)} of freedom); {worst} by {law.worst_sigmas:.1f} of its own standard errors, "
+        f"degree{'s' * (law.freedom != 1)} of freedom); {worst} by {law.worst_share:.1f} times its 95 % band, "
         f"at {law.worst:.2g} rad/s; instrument: {flight.instrument}"
     )
 

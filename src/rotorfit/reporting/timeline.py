@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, POSE_UNITS
-from rotorfit.core.model import Interval, Model
+from rotorfit.core.model import COEFFICIENTS, Interval, Model
 from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Knowledge, Regime, Track, TrackedAxis
 from rotorfit.reporting.document import Heading, document
 from rotorfit.reporting.drawing import draw_chart
@@ -329,15 +329,19 @@ def _regimes(regimes: Sequence[Regime], files: Sequence[Path | None]) -> list[di
 
 
 def _cells(model: Model | None) -> list[list[str]]:
-    """Rows of axis, input, damping and delay; none for a regime that was too short."""
+    """Rows of axis, law, coefficients and what compares between laws; none for a regime that was too short."""
     if model is None:
         return []
     out = []
     for name in AXES:
         axis = model.axes.get(name)
         if axis and axis.predictor:
-            values = {what: getattr(axis, what) for what in ("input", "damping", "delay")}
-            out.append([name, *(_with_interval(value, axis.ci95.get(what)) for what, value in values.items())])
+            values = {what: (getattr(axis, what), axis.ci95.get(what)) for what in COEFFICIENTS}
+            values["lag"] = axis.extra.get("lag"), axis.ci95.get("lag")
+            for what in ("steady_gain", "total_lag"):
+                known = axis.combinations.get(what)
+                values[what] = (known.value, known.ci95) if known else (None, None)
+            out.append([name, axis.structure, *(_with_interval(value, ends) for value, ends in values.values())])
     return out
 
 

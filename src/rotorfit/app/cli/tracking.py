@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -140,10 +141,11 @@ def track(
         check_destination(output, MODEL_MARK)
     if report:
         check_page(report)
-    if record:
-        check_new(record)
     if memory:
         check_place(memory)
+    if record:
+        record = _next_part(record) if memory and memory.exists() else record
+        check_new(record)
     earlier = earlier_of(after) if after else None
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     asked = _Asked(card, structure, false_alarms, pace, jsonl, earlier, regaining)
@@ -158,6 +160,15 @@ def track(
         raise trouble
     if stopped:
         raise SystemExit(1)  # all results are complete, but the log was not read to its end
+
+
+def _next_part(record: Path) -> Path:
+    """The recording of a tracker that resumes: its first name that is free, NAME, NAME-2, NAME-3 and so on."""
+    parts = (record if number == 1 else record.with_stem(f"{record.stem}-{number}") for number in count(1))
+    free = next(part for part in parts if not part.exists())
+    if free != record:
+        click.echo(f"{record} is kept; the recording goes on in {free}", err=True)
+    return free
 
 
 @dataclass(frozen=True)

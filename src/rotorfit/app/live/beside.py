@@ -77,7 +77,7 @@ def main() -> None:
     earlier = earlier_of(asked["after"]) if asked["after"] else None
     card, tuned = card_from_mapping(asked["card"], "of the flight"), asked["gains"] is not None
     tracker = Tracker(card, after=earlier, path=asked["path"], tuned=tuned)
-    gains, raised = list[str](), dict[float, str]()
+    gains, raised, states = list[str](), dict[float, str](), list[Tracked]()
     regaining = None
     if tuned:
         from rotorfit.app.live.regained import regaining_of
@@ -91,6 +91,7 @@ def main() -> None:
 
     def tell(state: Tracked, now: int, summary: str = "") -> None:
         """Answers with a state, the alarms and gains since the last one, and a summary."""
+        states.append(state)
         if regaining:
             regaining.state(state, now)
         alarms = []
@@ -112,7 +113,8 @@ def main() -> None:
         last, regimes = tracker.finish()
         for state in tracker.news():
             tell(state, received)
-        tell(last, received, text_of(track_view(Track((last,), regimes))) + (regaining.summary if regaining else ""))
+        whole = Track((*states, last), regimes)
+        tell(last, received, text_of(track_view(whole)) + (regaining.summary if regaining else ""))
     except BrokenPipeError:  # the flight was ended meanwhile, and nobody reads any more
         os.dup2(os.open(os.devnull, os.O_WRONLY), answers.fileno())
 

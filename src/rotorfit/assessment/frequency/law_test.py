@@ -24,6 +24,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.frequency_response import LawTest, Spectrum
 from rotorfit.core.laws import Structure
 from rotorfit.core.model import Predictor
+from rotorfit.core.results import student_quantile
 from rotorfit.dynamics.transfer_function import law_response
 
 DRAWS, SEED = 4000, 20
@@ -104,10 +105,11 @@ def law_test(bands: Sequence[Band], structure: Structure, start: Predictor) -> L
     Q = float(best.fun @ best.fun)
     point = point_at(structure, start, best.x)
     sigmas = np.concatenate([_sigmas(band, law_response(structure, point, band.knots)) for band in bands])
-    worst = int(np.argmax(sigmas))
+    shares = sigmas / np.repeat([student_quantile(band.freedom) for band in bands], [band.knots.size for band in bands])
+    worst = int(np.argmax(shares))
     knots = np.concatenate([band.knots for band in bands])
     p = float(fdtrc(freedom, f, Q / (c * freedom)) if np.isfinite(f) else chdtrc(freedom, Q / c))
-    return LawTest(Q / freedom, freedom, f, p, float(knots[worst]), float(sigmas[worst]))
+    return LawTest(Q / freedom, freedom, f, p, float(knots[worst]), float(sigmas[worst]), float(shares[worst]))
 
 
 def _left(band: Band, response: Spectrum) -> Array:
