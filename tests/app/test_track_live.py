@@ -37,6 +37,7 @@ def run(*words: str) -> Result:
     [
         ((), "one of the two"),
         (("log.mcap", "--link", "sim"), "one of the two"),
+        (("bebop2", "log.mcap"), "one LOG, not 2; a card is named by --card"),
         (("log.mcap", "--for", "3"), "for a --link"),
         (("--link", "tello"), "one controller alone"),
         (("--link", "ros2"), "--card"),

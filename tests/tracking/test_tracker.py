@@ -4,6 +4,7 @@ import pytest
 from tracking_samples import samples_of
 
 from flights import CARD
+from rotorfit.core.errors import LogError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
@@ -55,6 +56,19 @@ def test_doubled_late_and_broken_samples_change_nothing(live: Tracked) -> None:
     for axis, known_ in state_of(out).axes.items():
         for name, (low, high) in live.axes[axis].ci95.items():
             assert known_.values[name] == pytest.approx(live.axes[axis].values[name], abs=0.25 * (high - low))
+
+
+@pytest.mark.parametrize(
+    ("stream", "values", "told"),
+    [
+        ("poze", (0.0,) * 7, "no stream 'poze'; a sample is one of pose, velocity, command"),
+        ("pose", (0.0,) * 3, "a sample of 'pose' has 7 values, not 3"),
+        ("command", (0.0,) * 2, "a sample of 'command' has 4 values, not 2"),
+    ],
+)
+def test_what_no_link_sends_is_refused(stream: str, values: tuple[float, ...], told: str) -> None:
+    with pytest.raises(LogError, match=told):
+        Tracker(CARD).update(Sample(stream, 1, 1, values))  # type: ignore[arg-type]
 
 
 def test_nothing_is_told_before_5_s() -> None:

@@ -110,3 +110,7 @@ class Sample:
     received: int
     values: tuple[float, ...]
     text: str = ""
+
+
+NUMBERS: Mapping[str, int] = {"pose": 7, "velocity": 4, "command": 4, "battery": 1, "obeys": 1, "said": 0}
+"""Number of values of a sample of each stream."""

@@ -15,15 +15,15 @@ import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, Literal
+
+from rotorfit.core.log import NUMBERS
 
 RECORD = struct.Struct("<Bqq7d")
 """Stream number, stamp [ns], arrival [ns], and seven values, as many as a pose has."""
 
-WIDTH = {"pose": 7, "command": 4, "obeys": 1}
-"""Stream to the number of its values."""
-
-STREAMS = tuple(WIDTH)
+STREAMS: tuple[Literal["pose", "command", "obeys"], ...] = ("pose", "command", "obeys")
+"""Streams that a tracker beside needs."""
 
 ROOM = 1 << 20
 """Bytes that may wait for the other process: a minute of samples, while it starts."""
@@ -79,7 +79,7 @@ class Beside:
         if len(self._rest) > ROOM:
             self.lost += 1
         else:
-            padding = (0.0,) * (WIDTH["pose"] - len(values))
+            padding = (0.0,) * (NUMBERS["pose"] - len(values))
             self._rest += RECORD.pack(STREAMS.index(stream), stamp, received, *values, *padding)
         with suppress(OSError):  # the socket is full, or the other process is gone
             del self._rest[: self._near.send(self._rest)]

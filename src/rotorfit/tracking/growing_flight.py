@@ -37,7 +37,8 @@ STRANGE = 10
 LARGEST = 1e9
 """Bound on the values of a sound sample [m or unit of the command]."""
 
-_LENGTH = {"pose": 7, "command": 4}
+_TIMED = ("pose", "command")
+"""Streams with a clock."""
 
 
 class _Clock:
@@ -98,7 +99,7 @@ class GrowingFlight:
         """
         if sample.stream == "obeys":
             return self._obeyed(sample)
-        if sample.stream not in ("pose", "command"):
+        if sample.stream not in _TIMED:
             return False
         stamp = self._clocks[sample.stream].stamp(sample)
         if stamp is None:
@@ -198,7 +199,7 @@ class GrowingFlight:
         """The last `REMEMBERED` seconds and all that `recall` needs, as arrays for a file; empty at first."""
         if self._origin is None:
             return {}
-        clocks = [self._clocks[name].by_arrival for name in _LENGTH]
+        clocks = [self._clocks[name].by_arrival for name in _TIMED]
         return {
             "origin": np.array(self._origin),
             "now": np.array(self.now),
@@ -223,7 +224,7 @@ class GrowingFlight:
         for rows, name in ((self._commands, "commands"), (self._poses, "poses")):
             for t, row in zip(memory[f"{name}_time"].tolist(), memory[name].tolist(), strict=True):
                 rows.append(t, row[:-1], row[-1])
-        for name, by_arrival in zip(_LENGTH, memory["by_arrival"].tolist(), strict=True):
+        for name, by_arrival in zip(_TIMED, memory["by_arrival"].tolist(), strict=True):
             self._clocks[name].by_arrival = by_arrival
         self._obeys = bool(memory["obeys"])
         self._watch = PoseWatch(memory["jumps"].tolist())
@@ -238,8 +239,8 @@ def _packed(name: str, rows: Rows, begin: float) -> dict[str, Array]:
 
 
 def _is_sound(sample: Sample) -> bool:
-    """Whether a sample has the right length and plausible numbers, and a quaternion that is not zero."""
+    """Whether a sample has plausible numbers, and a quaternion that is not zero."""
     values = sample.values
-    if len(values) != _LENGTH[sample.stream] or not all(abs(value) < LARGEST for value in values):
+    if not all(abs(value) < LARGEST for value in values):
         return False
     return sample.stream == "command" or any(values[3:])

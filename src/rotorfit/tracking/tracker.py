@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from rotorfit.core.card import Card
-from rotorfit.core.errors import CardError
+from rotorfit.core.errors import CardError, LogError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
-from rotorfit.core.log import Sample
+from rotorfit.core.log import NUMBERS, Sample
 from rotorfit.core.model import Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Motion, Regime, Tracked, TrackedAxis
@@ -39,6 +39,21 @@ UNREAD = 1000
 
 MOST_FALSE_ALARMS = 60.0
 """Largest rate of false alarms that may be asked for [1/h]: one a minute."""
+
+
+def _check(sample: Sample) -> None:
+    """Refuses what no link sends: an unknown stream, or another number of values.
+
+    Raises:
+        LogError: It is such a sample.
+    """
+    if sample.stream not in NUMBERS:
+        raise LogError(f"no stream {sample.stream!r}; a sample is one of {', '.join(NUMBERS)}")
+    if len(sample.values) != NUMBERS[sample.stream]:
+        raise LogError(
+            f"a sample of {sample.stream!r} has {NUMBERS[sample.stream]} values, not {len(sample.values)}; a pose is "
+            "x, y, z and the quaternion w, x, y, z, a command x, y, z, yaw"
+        )
 
 
 class Tracker:
@@ -105,9 +120,11 @@ class Tracker:
                 [unit of the card's command]; or whether the vehicle obeys. In the order of arrival.
 
         Raises:
+            LogError: The sample is of no known stream, or has another number of values than its stream.
             RuntimeError: Live, the process beside has failed; the message has its traceback.
             LinkError: Live, the process beside was killed.
         """
+        _check(sample)
         took, now = self._growing.add(sample), self._growing.now
         if took and sample.stream == "pose":
             self._stream.follow()

@@ -37,7 +37,7 @@ PORT.name = "port number"  # the name in error messages
 
 
 @click.command()
-@click.argument("log", metavar="[LOG]", required=False)
+@click.argument("logs", metavar="[LOG]", nargs=-1)
 @click.option(
     "--link",
     metavar="NAME[:ADDRESS]",
@@ -105,7 +105,7 @@ PORT.name = "port number"  # the name in error messages
 @click.option("-o", "output", type=file_at(), metavar="model.json", help="Write the model of each regime.")
 @click.option("--report", type=file_at(), metavar="track.html", help="Write a page about the flight.")
 def track(
-    log: str | None,
+    logs: tuple[str, ...],
     link: str | None,
     card: str | None,
     seconds: float | None,
@@ -131,6 +131,9 @@ def track(
     from rotorfit.flying.mission import check_new
     from rotorfit.tracking.earlier import earlier_of
 
+    if len(logs) > 1:
+        raise click.UsageError(f"one LOG, not {len(logs)}; a card is named by --card, an earlier model by --after")
+    log = logs[0] if logs else None
     if (log is None) == (link is None):
         raise click.UsageError("name a LOG, or a --link to listen to: one of the two")
     if link is None and (record or memory or seconds):

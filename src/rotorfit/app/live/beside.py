@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rotorfit.core.log import Sample
+from rotorfit.core.log import NUMBERS, Sample
 from rotorfit.core.tracked import Tracked
 from rotorfit.files.cards import card_from_mapping
-from rotorfit.flying.beside import RECORD, STREAMS, WIDTH, Beside
+from rotorfit.flying.beside import RECORD, STREAMS, Beside
 from rotorfit.tracking.flight_so_far import UNRECORDED
 
 FAR = "rotorfit.app.live.beside"
@@ -107,7 +107,7 @@ def main() -> None:
         while len(data := stream.read(RECORD.size)) == RECORD.size:
             number, stamp, received, *values = RECORD.unpack(data)
             name = STREAMS[number]
-            tracker.update(Sample(name, stamp, received, tuple(values[: WIDTH[name]])))
+            tracker.update(Sample(name, stamp, received, tuple(values[: NUMBERS[name]])))
             for state in tracker.news():
                 tell(state, received)
         last, regimes = tracker.finish()
