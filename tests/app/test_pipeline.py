@@ -259,7 +259,7 @@ def test_the_model_of_a_bag_knows_its_axes(folder: Path) -> None:
 
 
 def test_a_heading_that_a_flight_only_holds_is_not_published(tmp_path: Path) -> None:
-    """Its commands answer gusts, and they tell of the motion to come: an input of 18 to 32 instead of 4.4 was the fit."""
+    """Its commands answer gusts, and tell of the motion to come: the fit was an input of 18 to 32 instead of 4.4."""
     vehicle = load_vehicle("bebop2")
     plan = rf.plan(
         card_from_mapping(vehicle.card(), vehicle.name), design="multisine", axes="x,y", room="6x6x4", seed=3

@@ -8,6 +8,9 @@ import numpy as np
 from rotorfit.core.frames import Array, Indices
 from rotorfit.reporting.views import Chart, RowChart
 
+LETTER = 7.0
+"""Width of a letter of a tick's text, so that the title beside the ticks does not cross them."""
+
 FINENESS = 4
 """Steps of a path's integer coordinates per unit of the picture: keeps paths short."""
 
@@ -105,8 +108,11 @@ def draw_chart(chart: Chart, width: int, height: int, columns: int = COLUMNS) ->
         height: Height of the picture.
         columns: Number of stretches of a long line, each drawn by its extremes.
     """
-    left, top, inner_width, inner_height = 46, 8, width - 46 - 10, height - 8 - 38
     x_range, y_range = _x_range(chart), _y_range(chart)
+    top, inner_height = 8, height - 8 - 38
+    y_ticks = (log_ticks if chart.y_log else ticks)(*y_range, inner_height // 32)
+    left = max(46, 24 + round(LETTER * max((len(text) for _, text in y_ticks), default=0)))
+    inner_width = width - left - 10
 
     def place_x(x: Array | float) -> Array:
         return np.asarray((np.asarray(x) - x_range[0]) / (x_range[1] - x_range[0]) * inner_width)
@@ -120,7 +126,6 @@ def draw_chart(chart: Chart, width: int, height: int, columns: int = COLUMNS) ->
         x_ticks = [
             (float(x), f"{x:g}") for x in chart.x if x == chart.x[0] or place_x(x) - place_x(chart.x[0]) > MIN_SPACE
         ]
-    y_ticks = (log_ticks if chart.y_log else ticks)(*y_range, inner_height // 32)
     paths = tuple(
         (line.role, _bars(place_x(chart.x), place_y(line.y), float(place_y(0.0))))
         if chart.kind == "correlation" and line.role != "band"

@@ -99,6 +99,6 @@ def _chart(comparison: ResponseComparison, what: str) -> Chart:
         reading="What the flight itself answers to a sine of each frequency, without any law, and thin lines for its "
         "95 % bands: where the model leaves them, the law or its numbers are wrong at that frequency.",
         summary=f"{flight.axis}: the model's {what} lies outside the flight's band at {outside} of {x.size} "
-        f"frequencies, {x[0]:.2g} to {x[-1]:.2g} rad/s; {response_line(comparison)}.",
+        f"frequencies, {x[0]:.2g} to {x[-1]:.2g} rad/s{f'; {response_line(comparison)}' if gain else ''}.",
         y_range=(low - margin, high + margin),
     )
