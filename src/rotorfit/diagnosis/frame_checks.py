@@ -291,8 +291,8 @@ def _yaw_remedy(card: Card, angle: float) -> str:
     """Remedy that rotates yaw by an angle, given the present card."""
     if "yaw" not in card.pose:
         return (
-            f"turn the rigid body's axes by {np.degrees(angle):+.0f} degrees about z; a card cannot turn a quaternion: of "
-            f"a log that is recorded already, compute yaw and give that an offset of {angle:.3g} rad"
+            f"turn the rigid body's axes by {np.degrees(angle):+.0f} degrees about z; a card cannot turn a quaternion: "
+            f"of a log that is recorded already, compute yaw and give that an offset of {angle:.3g} rad"
         )
     yaw = card.pose["yaw"]
     raw = angle / UNIT_SCALE[yaw.unit or "rad"] * (-1 if card.frame == "NED" else 1)
