@@ -30,9 +30,9 @@ from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior
 
 EXPLAINS = 0.82
-"""In a feedback loop the commands must reduce the 1 s prediction error on the training flights below this share of the
-error without them; else the axis counts as not excited, whatever the likelihood. In a simulated room and on recorded
-flights it is at most 0.76 for excited axes, and at least 0.88 for axes that are only held."""
+"""In what may be a feedback loop the commands must reduce the 1 s prediction error on the training flights below this
+share of the error without them; else the axis counts as not excited, whatever the likelihood. In a simulated room and on
+recorded flights it is at most 0.76 for excited axes, and at least 0.88 for axes that are only held."""
 
 HELPS = 0.99
 """The same in an open loop, where the likelihood can be trusted."""
@@ -257,8 +257,8 @@ def _explains(
     """Whether the commands of an axis explain its motion.
 
     In an open loop the interval of the gain decides later, and predictions must only not contradict it. In a feedback
-    loop the likelihood can be confidently wrong, so the commands must improve predictions. Flights that are too short
-    for predictions count as excited.
+    loop, if only a suspected one, the likelihood can be confidently wrong, so the commands must improve predictions.
+    Flights that are too short for predictions count as excited.
     """
     error = found.prediction[k]
     if is_inverse_loop(found.optimum, k):
@@ -266,7 +266,7 @@ def _explains(
     if not np.isfinite(error) or error < PLAINLY * found.held[k]:
         return True
     idle, _ = prediction_error(serving, group, without_input(records, found.optimum, [k]))
-    limit = EXPLAINS if answer(records, found.optimum, k).closed else HELPS
+    limit = EXPLAINS if answer(records, found.optimum, k).suspected else HELPS
     return bool(error < limit * idle[k])
 
 

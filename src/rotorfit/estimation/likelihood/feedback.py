@@ -27,6 +27,9 @@ EXCITATION_STEP = 6.0
 LOOP_SIGMAS = 4.5
 """Standard deviations beyond which a response is attributed to a feedback loop."""
 
+SUSPICIOUS_SIGMAS = 2.5
+"""Standard deviations beyond which a loop is suspected: one open loop in eighty."""
+
 LEAST_CHANCE = 1e-300
 """Lower limit of the probability, to keep its normal quantile finite."""
 
@@ -53,6 +56,11 @@ class LoopEvidence:
     def closed(self) -> bool:
         """Whether changes of the command respond to surprises, as in a feedback loop."""
         return self.sigmas > LOOP_SIGMAS
+
+    @property
+    def suspected(self) -> bool:
+        """Whether they may: a short flight in a feedback loop cannot show more."""
+        return self.sigmas > SUSPICIOUS_SIGMAS
 
 
 def loop_evidence(parts: Iterable[tuple[Array, Array]]) -> LoopEvidence:
