@@ -103,7 +103,7 @@ function panel(name) {
 
 function worded(text) {
   if (text.startsWith("known")) return "known";
-  if (text.startsWith("changed")) return text.endsWith("known") ? "known" : "changed";
+  if (text.startsWith("changed")) return /s, known( |$)/.test(text) ? "known" : "changed";
   return text.startsWith("learning") ? "learning" : text.startsWith("holding") ? "holding" : "unknown";
 }
 
