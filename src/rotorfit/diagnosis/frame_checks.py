@@ -275,8 +275,9 @@ def _offset(card: Card, own: Directions, told: str, angle: float, yaw: float, tu
         ways.append(
             f'or write frame = "world" in [command]: yaw was held at {np.degrees(yaw):.0f} degrees all the time'
         )
-    if len(own.angle) == 1 and abs(abs(angle) - np.pi / 2) < NEAR:
-        ways.append("or exchange the columns of x and y in [command], if only those are wrong")
+    if abs(abs(angle) - np.pi / 2) < NEAR:
+        turned = f", that of {'y' if angle > 0 else 'x'} with its scale turned" if len(own.angle) == 2 else ""
+        ways.append(f"or exchange the columns of x and y in [command]{turned}, if only those are wrong")
     return Finding(
         "yaw_offset",
         "error" if abs(angle) > np.pi / 4 else "warning",
