@@ -5,13 +5,16 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flights import flown
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Regime, Track, Tracked, TrackedAxis
 from rotorfit.reporting import write_timeline
+from rotorfit.reporting.drawing import draw_chart
 from rotorfit.reporting.timeline import timeline_page
+from rotorfit.reporting.views import Chart, Line
 from rotorfit.tracking.flight_so_far import UNRECORDED
 
 ALARM = Alarm(
@@ -115,3 +118,12 @@ def test_a_flight_that_told_nothing_has_a_page_all_the_same(flight: Flight, tmp_
     assert "Watched for changes: x never." in page
     assert "Nothing was identified at any time." in page
     assert write_timeline(nothing, flight, tmp_path / "track.html") is None  # the same page: nothing to keep
+
+
+def test_a_value_that_is_told_once_is_seen() -> None:
+    """A line of one point is nothing: it becomes a dash of four units."""
+    lone = Line("x", "model", np.array([1.0, np.nan, 2.0, np.nan]))
+    chart = Chart("timeline", "x", "x", "t", "y", np.arange(4.0), (lone,), "", "", y_range=(0.0, 3.0))
+
+    path = draw_chart(chart, 300, 200).paths[0][1]
+    assert path.count("m") == path.count("l16 0") == 2

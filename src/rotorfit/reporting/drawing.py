@@ -14,6 +14,9 @@ LETTER = 7.0
 FINENESS = 4
 """Steps of a path's integer coordinates per unit of the picture: keeps paths short."""
 
+DASH = 2 * FINENESS
+"""Half the length of a lone point [steps]: a line to nowhere shows nothing."""
+
 COLUMNS = 250
 """Number of stretches of a long line, each drawn by its extremes."""
 
@@ -267,7 +270,7 @@ def _y_range(chart: Chart) -> tuple[float, float]:
 
 
 def _path(x: Array, y: Array, height: float, columns: int = COLUMNS) -> str:
-    """Relative path in integer steps, broken at NaN; long lines are reduced to their peaks."""
+    """Relative path in integer steps, broken at NaN; long lines are reduced to their peaks, lone points are dashes."""
     if x.size > 2 * columns:
         kept = peaks(y, columns)
         x, y = x[kept], y[kept]
@@ -275,11 +278,12 @@ def _path(x: Array, y: Array, height: float, columns: int = COLUMNS) -> str:
     finite = np.isfinite(y)
     points = np.round(np.stack([x, np.where(finite, y, 0)], axis=1) * FINENESS).astype(int)
     parts, last, here = [], np.zeros(2, int), False
-    for point, good in zip(points, finite, strict=True):
+    for point, good, goes_on in zip(points, finite, [*finite[1:], False], strict=True):
         if good:
+            half = DASH * (not here and not goes_on)
             step = point - last
-            parts.append(f"{'l' if here else 'm'}{step[0]} {step[1]}")
-            last = point
+            parts.append(f"{'l' if here else 'm'}{step[0] - half} {step[1]}" + f"l{2 * half} 0" * bool(half))
+            last = point + np.array([half, 0])
         here = bool(good)
     return "".join(parts).replace(" -", "-")
 
