@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from flights import NO_LOG, flown, steps, turned
+from rotorfit.core.card import Channel
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import heading_from_world
 from rotorfit.diagnosis.frame_checks import directions, frame_findings
@@ -55,6 +56,16 @@ def test_with_one_axis_commanded_its_own_direction_is_told() -> None:
     assert codes(told) == []
     assert codes(off(told, 25.0)) == ["yaw_offset"]
     assert codes(off(told, 180.0)) == []  # a flipped sign looks the same: the fit tells
+
+
+def test_a_quaternion_gets_the_offset_that_a_card_can_give_it() -> None:
+    spoiled = off(flight(), 40.0)
+    pose = {axis: spoiled.card.pose[axis] for axis in "xyz"} | {f"q{part}": Channel(f"q{part}") for part in "wxyz"}
+    (told,) = frame_findings(recording_of(NO_LOG, replace(spoiled, card=replace(spoiled.card, pose=pose))))
+
+    assert told.code == "yaw_offset"
+    degrees = float(told.remedy.partition("value = ")[2].partition(",")[0])
+    assert degrees == pytest.approx(-40.0, abs=5.0)
 
 
 def test_the_circle_that_sine_and_cosine_fly_is_not_taken_for_a_turned_yaw() -> None:

@@ -113,6 +113,20 @@ def test_four_names_of_a_quaternion_are_w_x_y_z() -> None:
 
 
 @pytest.mark.parametrize(
+    ("value", "angle"), [(0.5, 0.5), ({"value": 90, "unit": "deg"}, np.pi / 2), ({"value": -1}, -1)]
+)
+def test_the_heading_of_a_quaternion_may_be_off(value: object, angle: float) -> None:
+    text = raw()
+    text["pose"]["heading_offset"] = value
+
+    assert card_from_mapping(text, "test").heading_offset == pytest.approx(angle)
+    del text["pose"]["quaternion"]
+    text["pose"]["yaw"] = "/pose:yaw"
+    with pytest.raises(CardError, match="heading_offset is for a quaternion; give yaw an offset"):
+        card_from_mapping(text, "test")
+
+
+@pytest.mark.parametrize(
     ("place", "key", "nearest"),
     [
         ((), "comand", "command"),
@@ -176,6 +190,8 @@ MISSING = object()
         (("pose", "time", "unit"), "m", "s, ms, us, ns"),
         (("pose", "x", "unit"), "deg", "m, cm, mm"),
         (("pose", "quaternion"), ["a", "b"], "four names"),
+        (("pose", "heading_offset"), "50", "heading_offset: must be a finite number"),
+        (("pose", "heading_offset"), {"value": 1, "unit": "m"}, "rad, deg"),
         (("pose", "quaternion"), ["a", "b", "c", 1], "text"),
         (("limits", "tilt", "unit"), "m/s", "rad, deg"),
         (("limits", "speed"), -1, "positive"),

@@ -254,6 +254,8 @@ def test_yaw_comes_from_a_quaternion_of_any_length_and_tilt() -> None:
     turns = (flight.yaw - np.interp(flight.pose_time, pose["t"], yaw)) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns[0]), atol=1e-3)
     assert counts(flight)["yaw_unwrapped"] >= 1
+    off = flight_of(pose=pose, card=card_with(pose={"yaw": None, "quaternion": "pose:q", "heading_offset": 0.5}))
+    np.testing.assert_allclose(np.exp(1j * (off.yaw - flight.yaw)), np.exp(0.5j), atol=1e-9)
 
 
 def test_wrapped_yaw_is_unwrapped_and_counted() -> None:

@@ -106,6 +106,7 @@ class Card:
         raw: The whole card as parsed from TOML, as the model file stores it.
         fail_safe: What the vehicle does when commands stop, for people; empty where the card does not say.
         over: Built-in cards that are not proposed where this one also reads a flight from the log.
+        heading_offset: Added to the heading of the pose's quaternion, in `frame` [rad].
     """
 
     name: str
@@ -131,6 +132,7 @@ class Card:
     clock: Literal["own", "one"] = "own"
     fail_safe: str = ""
     over: tuple[str, ...] = ()
+    heading_offset: float = 0.0
 
     def __repr__(self) -> str:
         return f"Card({self.name!r}, commands {' '.join(self.command)}, pose {' '.join(self.pose)} in {self.frame})"

@@ -291,9 +291,10 @@ def _offset(card: Card, own: Directions, told: str, angle: float, yaw: float, tu
 def _yaw_remedy(card: Card, angle: float) -> str:
     """Remedy that rotates yaw by an angle, given the present card."""
     if "yaw" not in card.pose:
+        offset = np.degrees(card.heading_offset + (-angle if card.frame == "NED" else angle))
         return (
-            f"turn the rigid body's axes by {np.degrees(angle):+.0f} degrees about z; a card cannot turn a quaternion: "
-            f"of a log that is recorded already, compute yaw and give that an offset of {angle:.3g} rad"
+            f'write heading_offset = {{ value = {offset:.0f}, unit = "deg" }} in [pose] of the card; for flights to '
+            f"come, turn the rigid body's axes by {np.degrees(angle):+.0f} degrees about z"
         )
     yaw = card.pose["yaw"]
     raw = angle / UNIT_SCALE[yaw.unit or "rad"] * (-1 if card.frame == "NED" else 1)

@@ -36,7 +36,7 @@ _LIMITS = tuple(LIMIT_UNITS)
 
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "command": ("frame", "hold", "time", *AXES),
-    "pose": ("time", *AXES, "quaternion", "resets"),
+    "pose": ("time", *AXES, "quaternion", "heading_offset", "resets"),
     "velocity": ("frame", "time", "independent", *AXES),
     "attitude": ("time", "yaw", "quaternion"),
     "reference": AXES,
@@ -160,6 +160,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         clock=_choice(raw.get("clock", "own"), ("own", "one"), f"{place}, clock"),
         fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
         over=_names(raw.get("over", []), f"{place}, over"),
+        heading_offset=_heading_offset(pose, in_pose),
     )
     refuse_shared({"time": card.command_time, **card.command}, in_command)
     refuse_shared({"time": card.pose_time, **card.pose}, in_pose)
@@ -326,6 +327,18 @@ def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -
     if ("x" in section) != ("y" in section):
         raise CardError(f"{place}: {missing[0]} is missing; x and y go together: name both, or neither")
     return _channels(section, _POSE_UNITS, place) | heading
+
+
+def _heading_offset(section: Mapping[str, Any], place: str) -> float:
+    """What is added to the heading of a quaternion [rad]: an angle, or `{ value, unit }`."""
+    value = section.get("heading_offset", 0.0)
+    if "heading_offset" in section and "quaternion" not in section:
+        raise CardError(f"{place}: heading_offset is for a quaternion; give yaw an offset: yaw = {{ from, offset }}")
+    if not isinstance(value, Mapping):
+        return _number(value, f"{place} heading_offset")
+    _check_keys(value, ("value", "unit"), f"{place} heading_offset")
+    unit = _choice(value.get("unit", "rad"), ANGLE_UNITS, f"{place} heading_offset.unit")
+    return _number(value.get("value"), f"{place} heading_offset.value") * UNIT_SCALE[unit]
 
 
 def _heading(section: Mapping[str, Any], place: str) -> dict[str, Channel]:

@@ -116,6 +116,7 @@ def poses_of(log: Log, card: Card) -> Stream:
     stamps, series, notes = read_series(log, card.pose_time, card.pose, "pose")
     x, y, z = (series.get(axis, np.zeros(len(stamps))) for axis in AXES[:3])
     yaw = series["yaw"] if "yaw" in series else _heading(*(series[f"q{part}"] for part in "wxyz"))
+    yaw = yaw + card.heading_offset
     drawn_ = {axis for axis, channel in card.pose.items() if is_beside(card.pose_time, channel)}
     own = [axis in ("x", "y", "z", "yaw") and axis not in drawn_ for axis in AXES]
     own[3] = own[3] and "qw" not in drawn_
