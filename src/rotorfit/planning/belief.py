@@ -194,6 +194,12 @@ def belief_from_model(model: Model, where: str) -> Belief:
     if richer:
         laws = ", ".join(dict.fromkeys(richer.values()))
         notes.append(f"{', '.join(richer)}: planned for the first-order law with a delay, not for {laws}")
+    unsure = [axis for axis in AXES if len(model.axes[axis].laws) > 1]
+    if unsure:
+        notes.append(
+            f"{', '.join(unsure)}: the model does not decide between laws; errors here are those of the first-order "
+            "law alone, the model's intervals cover all"
+        )
     if frozen := frozen_axes(model.findings):
         notes.insert(0, f"{', '.join(frozen)}: {MEND}")
     covariance = _known_covariance(model, values.ravel(), covariance)
