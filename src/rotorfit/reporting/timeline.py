@@ -337,7 +337,6 @@ def _cells(model: Model | None) -> list[list[str]]:
         axis = model.axes.get(name)
         if axis and axis.predictor:
             values = {what: (getattr(axis, what), axis.ci95.get(what)) for what in COEFFICIENTS}
-            values["lag"] = axis.extra.get("lag"), axis.ci95.get("lag")
             for what in ("steady_gain", "total_lag"):
                 known = axis.combinations.get(what)
                 values[what] = (known.value, known.ci95) if known else (None, None)
