@@ -99,3 +99,9 @@ def test_long_windows_hold_the_extremes_of_every_pixel_within_one_pixel() -> Non
         inside, around = np.abs(time - x) <= 0.5 * pixel, np.abs(time - x) <= 2.5 * pixel
         assert values[inside].max() <= window.values[near].max() <= values[around].max()
         assert values[around].min() <= window.values[near].min() <= values[inside].min()
+
+
+def test_a_value_beyond_what_is_sent_is_infinite_without_a_warning() -> None:
+    data = packed(window_of(series_over(np.arange(2.0), np.array([[1e300], [1.0]])), 0.0, 2.0, 10))
+
+    assert np.frombuffer(data[16:], "<f4").tolist() == [np.inf, 1.0]

@@ -85,5 +85,10 @@ def _between(time: Array, start: float, end: float) -> tuple[int, int]:
 
 
 def packed(window: Window) -> bytes:
-    """The window as little-endian bytes: the stamps as float64, then column after column as float32."""
-    return window.time.astype("<f8").tobytes() + window.values.T.astype("<f4").tobytes()
+    """The window as little-endian bytes: the stamps as float64, then column after column as float32.
+
+    What float32 cannot hold is infinite there, which no picture shows.
+    """
+    with np.errstate(over="ignore"):
+        values = window.values.T.astype("<f4")
+    return window.time.astype("<f8").tobytes() + values.tobytes()
