@@ -88,22 +88,26 @@ class Recording:
 
     def state(self, state: Tracked, now: int) -> None:
         """Writes a state and its alarms, the alarms also as events."""
-        if self._recorder is None or self.fault:
-            return
-        for alarm in state.alarms:
-            self._recorder.json_message(ALARM, now, alarm.to_mapping())
-            self._recorder.event(now, f"{alarm.title}: {alarm.why}")
-        self._recorder.json_message(TRACKED, now, state.to_mapping())
+        if recorder := self._writing:
+            for alarm in state.alarms:
+                recorder.json_message(ALARM, now, alarm.to_mapping())
+                recorder.event(now, f"{alarm.title}: {alarm.why}")
+            recorder.json_message(TRACKED, now, state.to_mapping())
 
     def motion(self, motion: Motion, now: int) -> None:
         """Writes the motion after a pose."""
-        if self._recorder is not None:
-            self._recorder.json_message(MOTION, now, motion.to_mapping())
+        if recorder := self._writing:
+            recorder.json_message(MOTION, now, motion.to_mapping())
 
     def gains(self, message: Mapping[str, Any], now: int) -> None:
         """Writes new gains."""
-        if self._recorder is not None:
-            self._recorder.json_message(GAINS, now, message)
+        if recorder := self._writing:
+            recorder.json_message(GAINS, now, message)
+
+    @property
+    def _writing(self) -> Recorder | None:
+        """The recorder, once there is one and as long as its file grows."""
+        return None if self.fault else self._recorder
 
     @property
     def fault(self) -> str:
