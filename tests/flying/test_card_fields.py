@@ -68,15 +68,6 @@ def test_a_pose_is_read_with_scale_unit_and_constants() -> None:
     assert values == pytest.approx((0.5, -2.0, 1.2, math.sqrt(0.5), 0, 0, math.sqrt(0.5)))
 
 
-def test_a_quaternion_that_is_to_be_turned_is_for_logs() -> None:
-    raw = card().raw
-    pose = {key: value for key, value in raw["pose"].items() if key != "yaw"}
-    turned = card_from_mapping(raw | {"pose": pose | {"quaternion": "/pose:q", "heading_offset": 0.5}}, "test")
-
-    with pytest.raises(LinkError, match="turn the rigid body's axes in the motion capture software"):
-        pose_fields(turned)
-
-
 def test_a_pose_with_a_number_that_is_not_finite_is_no_pose() -> None:
     assert pose_values(pose_fields(card()), {"x": math.nan, "y": 0.0, "z": 0.0, "yaw": 0.0}.__getitem__) is None
 

@@ -148,13 +148,15 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(bench: Bench) -> None:
     assert bench.autopilot.requests.count(176) == 1
 
 
-def test_a_refusal_is_an_error_that_names_the_step(bench: Bench) -> None:
-    bench.autopilot.refuse[400] = 2
+@pytest.mark.parametrize(("result", "said", "seconds"), [(2, "denied", 2.0), (1, "temporarily rejected", 8.0)])
+def test_a_refusal_is_an_error_that_names_the_step(bench: Bench, result: int, said: str, seconds: float) -> None:
+    """One that is temporary is an error when it has come to every try."""
+    bench.autopilot.refuse[400] = result
     bench.link.greet()
     bench.link.act("take_off")
 
-    with pytest.raises(LinkError, match=r"(PX4|ArduPilot) did not arm: denied"):
-        bench.fly(2.0)
+    with pytest.raises(LinkError, match=rf"(PX4|ArduPilot) did not arm: {said}"):
+        bench.fly(seconds)
     assert bench.room.asked == []
 
 
@@ -167,14 +169,6 @@ def test_a_step_that_is_put_off_is_asked_for_again(bench: Bench) -> None:
     bench.autopilot.refuse.clear()
     bench.fly(2.0)
     assert bench.room.asked == ["take_off"]
-
-
-def test_a_step_that_is_put_off_for_good_is_told_as_that(bench: Bench) -> None:
-    bench.autopilot.refuse[400] = 1
-    bench.link.greet()
-    bench.link.act("take_off")
-    with pytest.raises(LinkError, match=r"(PX4|ArduPilot) did not arm: temporarily rejected"):
-        bench.fly(8.0)
 
 
 def test_a_step_that_is_in_progress_is_waited_for(bench: Bench) -> None:

@@ -1,4 +1,5 @@
 import json
+import math
 import os
 import re
 import subprocess
@@ -16,12 +17,16 @@ from rotorfit.app.cli import main
 from rotorfit.app.terminal.cockpit import ended_early
 from rotorfit.core.errors import LinkError, VehicleError
 from rotorfit.core.flight_plan import Flown, Jitter, Plan
+from rotorfit.core.log import Sample
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read
 from rotorfit.files.plans import load_plan, plan_from_text, save_plan
 from rotorfit.flying.links import LINKS, LinkKind
-from rotorfit.flying.links.opening import open_link, simulated_at
+from rotorfit.flying.links.link import Link
+from rotorfit.flying.links.opening import open_link, open_listener, simulated_at
 from rotorfit.flying.links.sim import _scene
 from rotorfit.planning.belief import belief_from_card, belief_mapping
+from rotorfit.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.flights
 
@@ -320,8 +325,6 @@ def test_a_log_of_others_is_played_back_in_the_world_frame(tmp_path: Path) -> No
         "command": {"time": "t", "x": "ux"},
         "pose": {"time": "t", "x": "n", "y": "e", "z": "d", "yaw": "yaw"},
     }
-    from rotorfit.files.cards import card_from_mapping
-
     samples = open_link(f"replay:{path}", card_from_mapping(raw, "csv")).receive(10 * SECOND)
     x, y, z, qw, _, _, qz = samples[3].values
     assert (x, y, z) == (2.0, 3.0, 3.0)
@@ -368,3 +371,30 @@ def test_commands_of_the_bebop_reach_it_in_its_own_unit() -> None:
     assert speed((0.1, 0.0, 0.0, 0.0))[0] > 0.3
     assert speed((0.0, 0.1, 0.0, 0.0))[1] > 0.3
     assert speed((0.0, 0.0, 0.5, 0.0))[2] == pytest.approx(0.5 * BEBOP.command.vertical_speed, rel=0.2)
+
+
+def test_a_heading_that_the_card_turns_is_turned_once_and_in_logs_alone(tmp_path: Path) -> None:
+    """Played back to fly or to be heard, and in a tracker that hears it; a live link would fly with another heading."""
+    path, time = tmp_path / "log.csv", 0.02 * np.arange(300)
+    heading = 0.3 * np.sin(time)
+    numbers = [time, np.sin(3 * time), 0.1 * time, 0 * time, 1 + 0 * time, np.cos(heading / 2), np.sin(heading / 2)]
+    rows = [",".join(f"{value:.9f}" for value in row) for row in np.stack(numbers, axis=1)]
+    path.write_text("\n".join(["t,u,x,y,z,w,k,i,j", *(f"{row},0,0" for row in rows)]) + "\n")
+    pose = {"time": "t", "x": "x", "y": "y", "z": "z", "quaternion": ["w", "i", "j", "k"], "heading_offset": 0.5}
+    raw = {"command": {"time": "t", "yaw": "u"}, "pose": pose}
+    card = card_from_mapping(raw, "turned")
+
+    def heard(link: Link) -> list[Sample]:
+        return link.receive(link.now + 60 * SECOND)
+
+    for link in (open_link(f"replay:{path}", card), open_listener(f"replay:{path}", card)):
+        told = [2 * math.atan2(one.values[6], one.values[3]) for one in heard(link) if one.stream == "pose"]
+        assert told[:5] == pytest.approx(heading[:5] + 0.5, abs=1e-3)
+    tracker = Tracker(card, origin=0)
+    for sample in heard(open_listener(f"replay:{path}", card)):
+        tracker.update(sample)
+    flight = tracker.flight()
+    assert flight is not None
+    assert max(abs(flight.yaw - 0.5)) < 0.31
+    with pytest.raises(LinkError, match="turn the rigid body's axes in the motion capture software"):
+        open_listener("mavlink", card)

@@ -115,8 +115,8 @@ def residual_tests(
     robust = float(np.sum((NORMAL * found.value[told] / found.band[told]) ** 2))
     command_p, freedom = _independence(innovations, covariance)
     with_command = cross_correlation(innovations, covariance)
-    size, told = np.abs(with_command.value), with_command.band > 0
-    share = np.divide(size, with_command.band, out=np.zeros_like(size), where=told)
+    size, band = np.abs(with_command.value), with_command.band
+    share = np.divide(size, band, out=np.zeros_like(size), where=band > 0)  # no band without a command
     peak = int(np.argmax(share))
     white_p = _chi_squared(robust, lags)
     count, ratio = frequencies(n), float(np.mean(at_fitted_levels**2))

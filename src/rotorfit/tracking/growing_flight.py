@@ -65,7 +65,7 @@ class GrowingFlight:
     """The flight so far, fed sample by sample.
 
     Args:
-        card: The vehicle's card: hold and axes of the commands, and what is added to the heading.
+        card: The vehicle's card: hold and axes of the commands.
         origin: Stamp of second 0 [ns]; None for that of the first sample.
         path: File of the recording.
     """
@@ -76,7 +76,6 @@ class GrowingFlight:
         self._watch, self._ground = PoseWatch(), Ground()
         self._alarms: list[Alarm] = []
         self._obeys, self._newest, self._resumed = True, -np.inf, False
-        self._turned = -card.heading_offset if card.frame == "NED" else card.heading_offset
         self._commands, self._poses = self._so_far.commands, self._so_far.poses
 
     @property
@@ -149,7 +148,7 @@ class GrowingFlight:
 
     def _pose(self, time: float, values: Sequence[float]) -> bool:
         x, y, z, *quaternion = values
-        pose = np.array([x, y, z, float(yaw_from_quaternion(*np.array(quaternion))) + self._turned])
+        pose = np.array([x, y, z, float(yaw_from_quaternion(*np.array(quaternion)))])
         if time <= self._newest:
             return self._left_out("late_poses")
         self._newest = time

@@ -31,13 +31,13 @@ from rotorfit.estimation.likelihood.prior import GaussianPrior
 
 EXPLAINS = 0.82
 """In what may be a feedback loop the commands must reduce the 1 s prediction error on the training flights below this
-share of the error without them; else the axis counts as not excited, whatever the likelihood. From 15 s of flight on it
-is at most 0.76 for excited axes, in a simulated room and on recorded flights, and at least 0.88 for axes that are only
-held."""
+share of the error without them; else the axis counts as not excited, whatever the likelihood. On flights of a minute in
+a simulated room, and on recorded ones, it is at most 0.76 for excited axes and at least 0.88 for axes that are only
+held; in 15 s one excited axis came to 0.88, and held ones to 0.92 at least."""
 
 SHORT, EXPLAINS_SHORT = 15.0, 0.6
-"""Duration below which the share must be smaller [s], and that share: in 9 s of flight held axes came to 0.62, two of
-53 to 0.45, and excited ones to 0.81, but most of them below 0.5."""
+"""Duration below which the share must be smaller [s], and that share: in 9 s of flight one held axis came to 0.45, all
+others to 0.62 at least, and two excited ones to 0.8."""
 
 HELPS = 0.99
 """The same in an open loop, where the likelihood can be trusted."""

@@ -71,13 +71,8 @@ def pose_fields(card: Card) -> PoseFields:
     """Message and fields of a card's pose, and of its velocity in the heading frame.
 
     Raises:
-        LinkError: The pose, or the velocity, is in several messages or in none, or its quaternion is to be turned.
+        LinkError: The pose, or the velocity, is in several messages or in none.
     """
-    if card.heading_offset:
-        raise LinkError(
-            f"card {card.name}: a link takes the quaternion as it is: turn the rigid body's axes in the motion capture "
-            "software, and leave heading_offset out"
-        )
     table, channels = _of_one_table(card.pose, f"card {card.name}, [pose]")
     velocity_table, velocity = "", dict[str, Channel]()
     if card.velocity_frame == "heading" and {"x", "y", "z"} <= card.velocity.keys():

@@ -22,9 +22,10 @@ def open_link(text: str, card: Card, poses: str = "") -> Link:
         poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
 
     Raises:
-        LinkError: There is no such link, a package is missing, or nobody answers.
+        LinkError: There is no such link, a package is missing, nobody answers, or the card turns the heading.
     """
     name, address = _known(text)
+    _check_heading(name, card)
     with _explained_if_missing(name):
         link: Link = import_module(LINKS[name].module).open_link(address, card)
     if not poses:
@@ -47,13 +48,24 @@ def open_listener(text: str, card: Card) -> Link:
         card: Meaning of the commands and of the poses.
 
     Raises:
-        LinkError: There is no such link, it cannot be shared, a package is missing, or nothing is received.
+        LinkError: There is no such link, it cannot be shared, a package is missing, nothing is received, or the card
+            turns the heading.
     """
     check_listens(text)
     name, address = split(text)
+    _check_heading(name, card)
     with _explained_if_missing(name):
         link: Link = import_module(LINKS[name].listens).open_listener(address, card)
         return link
+
+
+def _check_heading(name: str, card: Card) -> None:
+    """Refuses a card that turns the heading: only a log that is played back is read with it."""
+    if card.heading_offset and name != "replay":
+        raise LinkError(
+            f"card {card.name}: a link takes the quaternion as it is: turn the rigid body's axes in the motion capture "
+            "software, and leave heading_offset out"
+        )
 
 
 def check_listens(text: str) -> None:

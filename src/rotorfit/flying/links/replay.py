@@ -111,6 +111,8 @@ def _poses(log: Log, card: Card) -> list[Sample]:
         attitude = quaternion_from_yaw(series["yaw"][:count])
     else:
         attitude = np.stack([series[f"q{part}"][:count] for part in "wxyz"], axis=1)
+        if card.heading_offset:
+            attitude = quaternion_from_yaw(yaw_from_quaternion(*attitude.T) + card.heading_offset)
     if card.frame == "NED":
         position = np.stack([position[:, 1], position[:, 0], -position[:, 2]], axis=1)
         attitude = _enu_from_ned(attitude)
