@@ -58,8 +58,8 @@ class Record:
         held: Whether the filter may treat the heading as constant.
         heading: Mean heading [rad].
         rate: True for blocks of velocities, shape (B,); None without velocities.
-        groups: Groups of each block, shape (B, 2): that of its poses and -1, or those of the ends and of the beginnings
-            of its velocities' differences; None likewise.
+        groups: Groups of each block, shape (B, 2): that of its poses and none that counts, or those of the ends and
+            of the beginnings of its velocities' differences; None likewise.
         size: Number of samples in each group, shape (G,); None likewise.
         rounding: Variance that the rounding adds to a velocity, shape (K,) [m^2/s^2 or rad^2/s^2]; None likewise.
     """
@@ -252,6 +252,60 @@ def _blocks(time: Array, value: Array, low: float, high: float, rate: float) -> 
     return _Blocks(time, block, np.column_stack(mean) if time.size else np.empty((0, value.shape[1])))
 
 
+@dataclass(frozen=True)
+class _Fused:
+    """Poses and velocities of one segment. N times, G groups of times, B blocks, K axes.
+
+    The block of a velocity has two groups: the times half a step after its samples and half a step before them.
+
+    Attributes:
+        start: Start of the segment for the likelihood [s].
+        commands: First and last of its commands.
+        time: Times, shape (N,), increasing [s].
+        group: Group of each time, shape (N,).
+        size: Number of times in each group, shape (G,).
+        pairs: The group of each block, and of a block of velocities the one that is subtracted from it, shape (B, 2).
+        count: Number of samples in each block, shape (B,).
+        rate: Whether each block is of velocities, shape (B,).
+        stamp: Mean stamp of each block, shape (B,), increasing [s].
+        value: Mean of each block, shape (B, K); positions from the first on.
+    """
+
+    start: float
+    commands: Indices
+    time: Array
+    group: Indices
+    size: Array
+    pairs: Indices
+    count: Array
+    rate: Mask
+    stamp: Array
+    value: Array
+
+
+def _fused(start: float, commands: Indices, poses: _Blocks, rates: _Blocks) -> _Fused:
+    """Blocks of poses and of velocities in the order of their stamps."""
+    B, V = len(poses.value), len(rates.value)
+    time = np.concatenate([poses.time, rates.time + HALF_STEP, rates.time - HALF_STEP])
+    group = np.concatenate([poses.block, B + rates.block, B + V + rates.block])
+    pairs = np.column_stack([np.arange(B + V), np.concatenate([np.full(B, -1), B + V + np.arange(V)])])
+    stamp = np.concatenate([np.bincount(b.block, b.time) / b.count for b in (poses, rates)])
+    value = np.concatenate([poses.value - poses.value[:1], rates.value])
+    order, turn = np.argsort(time, kind="stable"), np.argsort(stamp, kind="stable")
+    return _Fused(
+        start=start,
+        commands=commands,
+        time=time[order],
+        group=group[order],
+        size=np.concatenate([poses.count, rates.count, rates.count]),
+        pairs=pairs[turn],
+        count=np.concatenate([poses.count, rates.count])[turn],
+        rate=(np.arange(B + V) >= B)[turn],
+        stamp=stamp[turn],
+        value=value[turn],
+    )
+
+
 def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record | None:
     """The record of axes with a measured velocity, and with their poses where there are any; None likewise."""
     assert flight.velocity is not None
@@ -264,61 +318,42 @@ def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record |
         )
     pose, velocity = pose[:, column], velocity[:, column]
     alone, rate_time = axes[0] in flight.velocity.alone, flight.velocity.true_time(axes[0])
-    starts, ranges, commands, fresh = [], [], [], []
-    times, groups_of, sizes, pairs, counts, kinds, stamps, values = [], [], [], [], [], [], [], []
-    samples = groups = 0
+    parts = []
     for segment in flight.segments:
         low, high = segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]
         poses = _blocks(flight.pose_time, pose, low, low if alone else high, rate)
         rates = _blocks(rate_time, velocity, low + HALF_STEP, high - HALF_STEP, rate)
-        B, V = len(poses.value), len(rates.value)
-        if B + V < 4 or not V:
-            continue
-        time = np.concatenate([poses.time, rates.time + HALF_STEP, rates.time - HALF_STEP])
-        group = np.concatenate([poses.block, B + rates.block, B + V + rates.block])
-        order = np.argsort(time, kind="stable")
-        pair = np.column_stack([np.arange(B + V), np.concatenate([np.full(B, -1), B + V + np.arange(V)])])
-        stamp = np.concatenate([np.bincount(b.block, b.time) / b.count for b in (poses, rates)])
-        turn = np.argsort(stamp, kind="stable")
-        times.append(time[order])
-        groups_of.append(group[order] + groups)
-        sizes.append(np.concatenate([poses.count, rates.count, rates.count]))
-        pairs.append(pair[turn] + groups)
-        counts.append(np.concatenate([poses.count, rates.count])[turn])
-        kinds.append((np.arange(B + V) >= B)[turn])
-        stamps.append(stamp[turn])
-        values.append(np.concatenate([poses.value - poses.value[:1], rates.value])[turn])
-        fresh.append(np.arange(B + V) == 0)
-        starts.append(low)
-        ranges.append((samples, samples + time.size))
-        commands.append(np.searchsorted(flight.command_time, [segment.start, segment.end]))
-        samples, groups = samples + time.size, groups + B + 2 * V
-    if not starts:
+        if len(poses.value) + len(rates.value) >= 4 and len(rates.value):
+            commands = np.searchsorted(flight.command_time, [segment.start, segment.end])
+            parts.append(_fused(low, commands, poses, rates))
+    if not parts:
         return None
-    block_time, pose_time = np.concatenate(stamps), np.concatenate(times)
+    ends = np.cumsum([part.time.size for part in parts])
+    before = np.cumsum([0, *(part.size.size for part in parts)])  # groups
+    block_time, pose_time = (np.concatenate([getattr(part, name) for part in parts]) for name in ("stamp", "time"))
     block_yaw = np.interp(block_time, flight.pose_time, flight.yaw)
     steps, step = distinct_steps(block_time)
     return Record(
         axes=tuple(axes),
-        starts=np.array(starts),
-        pose_range=np.array(ranges),
-        command_range=np.array(commands),
+        starts=np.array([part.start for part in parts]),
+        pose_range=np.column_stack([np.concatenate([[0], ends[:-1]]), ends]),
+        command_range=np.array([part.commands for part in parts]),
         pose_time=pose_time,
         yaw=np.interp(pose_time, flight.pose_time, flight.yaw),
-        block=np.concatenate(groups_of),
-        count=np.concatenate(counts),
+        block=np.concatenate([part.group + n for part, n in zip(parts, before, strict=False)]),
+        count=np.concatenate([part.count for part in parts]),
         block_time=block_time,
         steps=steps,
         step=step,
         block_yaw=block_yaw,
-        position=np.concatenate(values),
-        fresh=np.concatenate(fresh),
+        position=np.concatenate([part.value for part in parts]),
+        fresh=np.concatenate([np.arange(part.stamp.size) == 0 for part in parts]),
         command_time=flight.command_time,
         command=np.ascontiguousarray(flight.command[:, column]),
         held=("x" not in axes and "y" not in axes) or bool(np.ptp(block_yaw) < 2 * HELD_HEADING),
         heading=heading,
-        rate=np.concatenate(kinds),
-        groups=np.concatenate(pairs),
-        size=np.concatenate(sizes),
+        rate=np.concatenate([part.rate for part in parts]),
+        groups=np.concatenate([part.pairs + n for part, n in zip(parts, before, strict=False)]),
+        size=np.concatenate([part.size for part in parts]),
         rounding=flight.velocity.rounding[column],
     )
