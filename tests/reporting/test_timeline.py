@@ -120,6 +120,18 @@ def test_a_flight_that_told_nothing_has_a_page_all_the_same(flight: Flight, tmp_
     assert write_timeline(nothing, flight, tmp_path / "track.html") is None  # the same page: nothing to keep
 
 
+def test_a_chart_says_from_when_a_value_was_told_or_that_it_was_told_once(flight: Flight) -> None:
+    states = [
+        Tracked(float(second), {"x": known(3.0, 0.1) if second > 7 else TrackedAxis(), "y": TrackedAxis()}, ())
+        for second in range(5, 21)
+    ]
+    states[-2] = replace(states[-2], axes={"x": known(3.0, 0.1), "y": known(2.0, 0.1)})
+    page = timeline_page(Track(tuple(states), (Regime(0.0, 20.0, None),)), flight)
+
+    assert "From 8 s on; at 20 s 3 m/s² per command." in page
+    assert "Only at 19 s: 2 m/s² per command." in page
+
+
 def test_a_value_that_is_told_once_is_seen() -> None:
     """A line of one point is nothing: it becomes a dash of four units."""
     lone = Line("x", "model", np.array([1.0, np.nan, 2.0, np.nan]))

@@ -233,10 +233,11 @@ def _chart(track: Track, axis: str, what: str) -> Chart | None:
     keep = slice(None, None, math.ceil(line.time.size / MOST_STATES))
     told = np.flatnonzero(np.isfinite(line.value))
     name, unit = what if what == "wind" else term_of(what), unit_of(what, axis)
-    end = int(told[-1])
-    summary = f"From {line.time[told[0]]:.0f} s on; at {line.time[end]:.0f} s {line.value[end]:.3g} {unit}.".replace(
-        " -", " −"
-    )
+    first, last = int(told[0]), int(told[-1])
+    value = f"{line.value[last]:.3g} {unit}".replace("-", "−")
+    summary = f"From {line.time[first]:.0f} s on; at {line.time[last]:.0f} s {value}."
+    if first == last:
+        summary = f"Only at {line.time[last]:.0f} s: {value}."
     return Chart(
         kind="timeline",
         axis=axis,
