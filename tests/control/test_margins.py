@@ -147,3 +147,14 @@ def test_the_response_is_that_of_a_long_sine() -> None:
     ]  # an integral may rest anywhere
     real, imaginary, _ = np.linalg.lstsq(parts, np.array(out)[3000:], rcond=None)[0]
     assert complex(law_response(law, np.array(w))) == pytest.approx(complex(real, imaginary), rel=1e-6)
+
+
+def test_a_margin_may_lie_at_the_nyquist_frequency() -> None:
+    """At 5 commands a second this loop oscillates from command to command when its gain falls to 0.57."""
+    vehicle = AxisBelief(3.7, 0.2, 0.05)
+    law = law_of_bandwidth("predictor", vehicle, 4.0, 0.2, 0.015, 0.03)
+    low, _ = margins(law, vehicle).gain
+
+    assert low == pytest.approx(0.58, rel=0.01)
+    assert spectral_radius(law, vehicle._replace(gain=1.001 * low * vehicle.gain)) < 1
+    assert spectral_radius(law, vehicle._replace(gain=0.999 * low * vehicle.gain)) > 1

@@ -155,3 +155,32 @@ def test_an_axis_that_is_not_told_in_full_is_tuned_only_where_the_rest_is_carrie
 
     assert [alone.look(model, (), ("x",)) for model in others] == [None] * 3
     assert any(after.look(model, (), ("x",)) for model in others)
+
+
+def test_gains_that_are_the_first_after_a_change_are_flown_like_any_other() -> None:
+    """A change before there were gains is no reason to replace them later by less evidence."""
+    g, b, tau = VEHICLE["x"]
+    other = of_x((1.3 * g, b, tau))
+    found = []
+    for changed in (False, True):
+        retuning = Retuning()
+        if changed:
+            retuning.changed(["x"], "other")
+        found.append([new.why["x"] for new in looks(retuning, of_x(), of_x(), other, other, other)])
+
+    assert found[0] == found[1] == ["the first, as its estimate has settled"]
+
+
+def test_the_last_revision_counts_alone() -> None:
+    once, twice = Retuning(flown=flown(0.02)), Retuning(flown=flown(0.02))
+    for retuning in (once, twice):
+        looks(retuning, of_x(), of_x())
+        retuning.changed(["x"], "limits")
+    twice.changed(["x"], "delay", revised=True)
+    for retuning in (once, twice):
+        retuning.changed(["x"], "thrust", revised=True)
+    g, b, tau = VEHICLE["x"]
+    models = [of_x((0.5 * g, b, tau))] * 3
+
+    assert [new.why for new in looks(twice, *models)] == [new.why for new in looks(once, *models)]
+    assert twice.kept == once.kept

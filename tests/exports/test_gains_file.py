@@ -1,6 +1,7 @@
 """The gains file and the verb that writes it."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -52,6 +53,30 @@ def test_another_suffix_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(ModelError, match=r"gains.txt: gains are written as .toml"):
         save_gains(tune(model), model, tmp_path / "gains.txt")
+
+
+def test_the_verb_refuses_a_suffix_before_it_tunes(tmp_path: Path) -> None:
+    code, output = run("tune", tmp_path / "not there.json", "-o", tmp_path / "gains.txt")
+    assert code == 1
+    assert "gains are written as .toml" in output
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [(".toml", "a = " + "[" * 5000), (".yaml", "a: " + "[" * 5000), (".toml", None), (".yaml", None)],
+)
+def test_gains_that_are_nested_without_end_or_no_numbers_are_one_line(
+    suffix: str, text: str | None, model_path: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / f"gains{suffix}"
+    if text is None:
+        assert run("tune", model_path, "-o", path)[0] == 0
+        text = re.sub(r"(bandwidth\W+)[\d.]+", r"\1" + ("nan" if suffix == ".toml" else ".nan"), path.read_text())
+    path.write_text(text)
+
+    with pytest.raises(ModelError, match=path.name) as refused:
+        read_gains(path)
+    assert "\n" not in str(refused.value)
 
 
 def test_the_verb_prints_writes_and_writes_again(model_path: Path, tmp_path: Path) -> None:

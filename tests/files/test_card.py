@@ -200,6 +200,7 @@ MISSING = object()
         (("window", "when"), 1, "not the constant 1"),
         (("command", "z"), "/cmd:linear.x", "[command]: x and z both read '/cmd:linear.x'; each needs a column"),
         (("command", "z"), "/cmd:header.stamp", "[command]: time and z both read"),
+        (("pose", "y"), {"from": "/pose:y", "scale": 0}, "scale: must not be 0"),
         (("pose", "y"), {"from": "/pose:x", "scale": -1}, "[pose]: x and y both read '/pose:x'"),
         (("velocity", "y"), "/v:x", "[velocity]: x and y both read"),
         (("over",), "x\n" * 1000, "over: must be a list of names, not 'x\\nx"),

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -397,6 +398,23 @@ def test_an_error_of_our_own_still_ends_in_hover_and_a_readable_log(tmp_path: Pa
     assert "end: an error in rotorfit itself" in readable(tmp_path / "log.mcap")
 
 
+def test_an_error_of_a_driver_keeps_its_trace_and_the_vehicle_lands(tmp_path: Path) -> None:
+    """Not of a kind that a link may raise, and again at every hover."""
+    link = Watched(room_link())
+    send = link.send
+
+    def broken(command: Sequence[float]) -> None:
+        if link.since > 4:
+            raise ZeroDivisionError("a bug")
+        send(command)
+
+    link.send = broken  # type: ignore[method-assign]
+    with pytest.raises(ZeroDivisionError, match="a bug"):
+        flown(link, tmp_path / "log.mcap")
+    assert link.acts == ["land"]
+    assert {"end: an error in rotorfit itself", "landing"} <= set(readable(tmp_path / "log.mcap"))
+
+
 def test_a_command_that_is_no_number_is_never_sent(tmp_path: Path) -> None:
     plan = plan_of()
     plan = replace(plan, belief={**plan.belief, "gamma": [float("nan")] * 8})
@@ -478,9 +496,10 @@ def test_the_space_bar_ends_the_flight_and_the_terminal_is_put_back() -> None:
                 assert abort() == "the space bar"
                 assert abort() == "the space bar"
             assert termios.tcgetattr(slave) == before
+            with operator_abort():
+                os.close(master)  # the terminal is closed: nothing to put back, and the results are still to be written
     finally:
         sys.stdin = old
-        os.close(master)
         os.close(slave)
 
 

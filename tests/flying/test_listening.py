@@ -39,6 +39,7 @@ class Graph:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.heard: dict[str, Callable[..., None]] = {}
         self.published: list[str] = []
+        self.begun: list[dict[str, Any]] = []
         self.extra: dict[str, Any] = {}
         for name, module in {**self.ros1(), **self.ros2()}.items():
             monkeypatch.setitem(sys.modules, name, module)
@@ -74,7 +75,8 @@ class Graph:
         return {"rospy": rospy, "rosgraph": graph, "roslib": ModuleType("roslib"), "roslib.message": lib}
 
     def ros2(self) -> dict[str, ModuleType]:
-        rclpy, qos = ModuleType("rclpy"), ModuleType("rclpy.qos")
+        rclpy, qos, signals = ModuleType("rclpy"), ModuleType("rclpy.qos"), ModuleType("rclpy.signals")
+        signals.SignalHandlerOptions = SimpleNamespace(NO="ours stay")  # type: ignore[attr-defined]
         topic = self.topic()
         node = SimpleNamespace(
             get_topic_names_and_types=lambda: [
@@ -85,11 +87,12 @@ class Graph:
             create_publisher=self.publish,
             destroy_node=lambda: None,
         )
-        rclpy.init, rclpy.shutdown, rclpy.create_node = (lambda: None), (lambda: None), lambda _: node  # type: ignore[attr-defined]
+        rclpy.shutdown, rclpy.create_node = (lambda: None), lambda _: node  # type: ignore[attr-defined]
+        rclpy.init = lambda **options: self.begun.append(options)  # type: ignore[attr-defined]
         rclpy.spin_once = lambda _node, **_: None  # type: ignore[attr-defined]
         qos.qos_profile_sensor_data = SimpleNamespace(reliability=1, durability=1)  # type: ignore[attr-defined]
         qos.QoSProfile = SimpleNamespace  # type: ignore[attr-defined]
-        out = {"rclpy": rclpy, "rclpy.qos": qos}
+        out = {"rclpy": rclpy, "rclpy.qos": qos, "rclpy.signals": signals}
         kinds = {"geometry_msgs": ("Twist", "TransformStamped"), "std_msgs": ("Empty",), "other_msgs": ("State",)}
         for package, names in kinds.items():
             out[f"{package}.msg"] = ModuleType(f"{package}.msg")
@@ -108,6 +111,7 @@ def test_a_listener_on_ros_hears_commands_poses_and_landings_and_publishes_nothi
 ) -> None:
     graph = Graph(monkeypatch)
     link = open_listener(name, BEBOP)
+    assert graph.begun == ([{"signal_handler_options": "ours stay"}] if name == "ros2" else [])
     graph.heard["/bebop/cmd_vel"](twist(x=0.25, y=-0.5, z=1.0, yaw=0.1))
     graph.heard[graph.topic()](graph.pose())
     graph.heard["/bebop/land"](None)

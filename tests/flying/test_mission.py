@@ -252,6 +252,8 @@ def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatc
         ("bebop2,start=1/2", "'start=1/2' is not start=X/Y/Z/YAW"),
         ("bebop2,seed=one", "'seed=one' is not start="),
         ("bebop2,flying=maybe", "flying=yes or no"),
+        ("bebop2,start=0/0/-1/0", "the start is at -1 m, below the floor of the flight room at 0 m"),
+        ("bebop2,mass=1.3@1e300", "is no change"),
     ],
 )
 def test_options_of_the_room_are_checked(address: str, why: str) -> None:

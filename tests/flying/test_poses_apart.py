@@ -45,6 +45,8 @@ def test_commands_go_to_the_first_and_poses_come_from_the_second() -> None:
     assert (first.sent, second.sent) == ([(0.1, 0.0, 0.0, 0.0)], [])
     assert (first.acted, second.acted) == (["take_off", "land", "close"], ["close"])
     assert (link.now, link.live, link.fail_safe) == (5, True, "It hovers.")
+    first.silence = Silence(5.0)  # learnt from the vehicle's parameters, after the two were joined
+    assert link.silence == Silence(5.0)
 
 
 def test_the_other_link_is_opened_for_poses_alone_by_its_address(monkeypatch: pytest.MonkeyPatch) -> None:

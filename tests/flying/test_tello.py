@@ -110,6 +110,23 @@ def test_nobody_there_is_one_line_that_says_what_to_try(room: StubRoom) -> None:
         tello.open_link(f"{HOST}:{free_port()}", load_card("tello"))
 
 
+def test_a_host_may_be_given_by_its_name(room: StubRoom, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its packets come from the address behind the name."""
+    monkeypatch.setattr(socket, "gethostbyname", {"drone.local": HOST}.__getitem__)
+    port = free_port()
+    drone = Tello(room, HOST, port)
+    with drone.socket, running(drone.step):
+        link = tello.open_link(f"drone.local:{port}", CARD)
+        link.act("close")
+    assert "command" in drone.heard
+
+
+@pytest.mark.parametrize(("address", "told"), [("127.0.0.1:99999", "no port"), ("no.such.host.invalid", "no host")])
+def test_what_is_no_host_or_port_is_one_line(address: str, told: str) -> None:
+    with pytest.raises(LinkError, match=told):
+        tello.open_link(address, CARD)
+
+
 def test_a_port_that_is_taken_is_said() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("", 0))

@@ -55,6 +55,12 @@ def test_a_prior_of_the_card_holds() -> None:
     assert errors(belief)["x.damping"] == pytest.approx(0.01)
 
 
+@pytest.mark.parametrize(("name", "mean"), [("input", 0.0), ("damping", 0.0), ("delay", -0.05)])
+def test_a_prior_by_which_nothing_can_be_planned_is_refused(name: str, mean: float) -> None:
+    with pytest.raises(PlanError, match=r"\[prior\] x: no flight can be planned"):
+        belief_from_card(replace(CARD, prior={"x": {name: Prior(mean, 0.1)}}))
+
+
 def test_a_card_without_limits_of_a_known_vehicle_is_believed_to_be_like_its_published_sets() -> None:
     belief = belief_from_card(load_card("bebop2"))
     assert belief.truth.gamma[0] == pytest.approx(np.mean([4.33, 1.742, 3.6976, 4.5752, 0.8417]))

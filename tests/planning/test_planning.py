@@ -267,6 +267,8 @@ def test_after_a_model_the_next_flight_is_shown_before_and_after(tmp_path: Path)
         (("--card", "rotorfit-demo", "--room", "6x4x3", "--box", "0,0,0,1,1,1"), "give --room or --box, not both"),
         (("--card", "rotorfit-demo", "--room", "big"), "is not length x width x height"),
         (("--card", "rotorfit-demo", "--speed", "-1"), "speed limits"),
+        (("--card", "rotorfit-demo", "--room", "1000x1000x100"), "exceeds the limit 500"),
+        (("--card", "rotorfit-demo", "--room", "60x60x20", "--speed", "50"), "exceeds the limit 30"),
     ],
 )
 def test_mistakes_end_with_one_line(asked: tuple[str, ...], told: str, tmp_path: Path) -> None:

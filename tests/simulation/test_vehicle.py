@@ -1,5 +1,6 @@
 """Vehicles: what their files say, what is refused, and the linear truth against a second way to it."""
 
+import math
 import tomllib
 from collections.abc import Callable
 from importlib import resources
@@ -131,6 +132,8 @@ def changed(change: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         (lambda raw: raw.update(mass="heavy"), "must be a number"),
         (lambda raw: raw.update(mass=-1.0), "not negative"),
         (lambda raw: raw.update(mass=0.0), "must be positive"),
+        (lambda raw: raw["odometry"].update(rate=math.inf), "rate: must be finite; only land_after and learning"),
+        (lambda raw: raw["radio"].update(latency=math.inf), "latency: must be finite"),
         (lambda raw: raw.update(drag=[0.1, 0.2]), "must be 3 numbers"),
         (lambda raw: raw.update(rotors=3), "must be a section"),
         (lambda raw: raw["autopilot"].update(brakes_on_zero=1), "true or false"),

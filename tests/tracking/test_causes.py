@@ -1,12 +1,13 @@
 """What a change is called: by which coefficients move together, and which stay."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rotorfit.core.tracked import Alarm
-from rotorfit.tracking.causes import Diagnosis, diagnosis
+from rotorfit.tracking.causes import Diagnosis, _intervals, diagnosis
 from rotorfit.tracking.changes import Contrast
 from rotorfit.tracking.scores import EXPECTED, Scores
 
@@ -92,3 +93,18 @@ def test_an_alarm_as_json_has_the_promised_keys() -> None:
     assert told["type"] == "alarm"
     assert told["change"] == {"x.input": [0.78, 0.86]}
     assert told["revises"] is None
+
+
+def test_what_may_be_zero_is_told_by_its_difference() -> None:
+    """A zero, an asymmetry or an input across the axes has no ratio; a lag has one, but after another vehicle none."""
+    size, change = np.array([-0.4, 0.3, 0.1, 0.1]), ("z.zero", "z.asymmetry", "z.lag", "z.delay")
+    told = _intervals(change, size, np.full(4, 1e-3), np.full(4, 0.5))
+    alarm = Alarm(41.3, ("z",), "other", (38.9, 40.2), told, 0.9, 1e-8, "because")
+
+    assert told["z.zero"] == pytest.approx((-0.2, -0.2), abs=0.01)
+    assert told["z.asymmetry"] == pytest.approx((0.15, 0.15), abs=0.01)
+    assert told["z.lag"] == pytest.approx((np.exp(0.05),) * 2, abs=0.01)
+    assert [alarm.is_ratio(name) for name in change] == [False, False, True, False]
+    assert [alarm.unit(name) for name in change] == ["s", "", "", "s"]
+    another = replace(alarm, cause="another_vehicle")
+    assert (another.is_ratio("z.lag"), another.unit("z.lag")) == (False, "s")

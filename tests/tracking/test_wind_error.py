@@ -51,3 +51,13 @@ def test_it_is_wider_where_the_vehicle_is_known_less_well_than_the_information_s
 
     error = coefficient_error(flight, "z", estimate, {})
     assert coefficient_error(flight, "z", estimate, twice) == pytest.approx(2 * error)
+
+
+@pytest.mark.parametrize("law", ["first_order_delay", "first_order_delay_lag"])
+def test_a_delay_that_is_known_less_well_counts_with_or_without_a_lag(law: str) -> None:
+    flight = known_flight()
+    one = refitted(flight, ("z",), law, 30.0).estimates["z"]
+    exact = {"input": 0.0, "damping": 0.0}
+
+    known, vague = (coefficient_error(flight, "z", one, {**exact, "delay": delay}) for delay in (1.0, 20.0))
+    assert vague > 1.02 * known

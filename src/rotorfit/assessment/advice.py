@@ -258,16 +258,18 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
     if "delay" in axis.status and axis.profile:
         yield from _delay_findings(name, axis, point.delay, flights)
     if axis.status["damping"] == "not_identifiable":
-        low, high = axis.ci95["damping"]
+        (low, high), late = axis.ci95["damping"], None in axis.ci95["delay"]
         gain, lag = axis.combinations["steady_gain"], axis.combinations.get("total_lag")
+        faster = "fly faster changes of the command"
         yield Finding(
             "damping_not_identifiable",
             "info",
-            f"the 95 % interval of the damping of {name} is {_end(low)} to {_end(high)} 1/s",
+            f"the 95 % interval of the damping of {name} is {_end(low)} to {_end(high)} 1/s"
+            + (", which does not hold where that of the delay is open" if late and None not in (low, high) else ""),
             f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
             if lag and None not in (*gain.ci95, *lag.ci95)
             else f"the input gain of {name} is known, its damping is not",
-            "fly faster changes of the command" if high is None or high > 3.0 else "fly longer, at constant command",
+            faster if late or high is None or high > 3.0 else "fly longer, at constant command",
             name,
         )
     if axis.status["input"] == "not_identifiable" and axis.status["delay"] != "ok":

@@ -21,6 +21,7 @@ from rotorfit.estimation.likelihood.blocks import record
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.optima import between, start_point
 from rotorfit.estimation.likelihood.prior import prior_of_law
+from rotorfit.estimation.zero_command import commanded_parts
 
 LEVEL = 1e-4
 """Level of the chi-square test: with four axes, 1 flight in 2500 by chance. It allows for intervals that are too
@@ -81,6 +82,9 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
     if estimate is None or fit.model.axes[axis].predictor is None:
         return
     serving = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if axis in s.axes]
+    test, fitted = fit.braking.get(axis, (None, np.inf))
+    if test and fitted < sum(f.duration for f in fit.flights):  # its law holds only while it is commanded
+        serving = [part for f in serving if (part := commanded_parts(f, (axis,), test.late)).segments]
     found = constancy(serving, estimate, axis)
     if found is None or found.probability > LEVEL:
         return

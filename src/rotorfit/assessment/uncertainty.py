@@ -275,7 +275,7 @@ def sandwich_covariance(records: Sequence[Record], optimum: Optimum) -> Array:
         contribution = np.zeros((len(parts), n))
         contribution[:, :first] = parts[:, :first]
         contribution[:, first + j * K : first + (j + 1) * K] = parts[:, first : first + K]
-        segment = at.start + np.cumsum(rec.fresh) - 1
+        segment = at.start + rec.segment
         for k in range(K):
             contribution[np.arange(len(parts)), first + F * K + segment * K + k] = parts[:, first + K + k]
         filling += newey_west(rec.block_time, contribution, LAG)

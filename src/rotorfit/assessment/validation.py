@@ -414,8 +414,8 @@ def _sensitivity(rec: Record, rows: Array, k: int) -> Array:
         rows: Whitened sensitivities of the axis, d/d(g, log b, tau, further parameters, c, v0), K columns each.
         k: Index of the axis among the K.
     """
-    K, segment = len(rec.axes), np.cumsum(rec.fresh)
-    starts = [rows[:, -K:] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
+    K = len(rec.axes)
+    starts = [rows[:, -K:] * (rec.segment == number)[:, None] for number in range(rec.starts.size)]
     own, others = rows[:, [k, K + k, 2 * K + k]], np.hstack([rows[:, -2 * K : -K], *starts])
     return np.asarray(own - others @ np.linalg.lstsq(others, own)[0])
 

@@ -115,6 +115,7 @@ def margins(law: AxisLaw, vehicle: AxisBelief) -> Margins:
     values = L(w)
     unit = _roots(lambda x: float(np.log(np.abs(L(np.array(x))))), w, np.log(np.abs(values)))
     real = _roots(lambda x: float(L(np.array(x)).imag), w, values.imag)
+    real = [*real, np.pi / law.period]  # at the Nyquist frequency the loop is real
     crossings = np.array([-L(np.array(x)).real for x in real] + [0.0, np.inf])
     factors = 1 / crossings[crossings > 0]
     if spectral_radius(law, vehicle) >= 1:

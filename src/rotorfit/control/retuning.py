@@ -135,8 +135,7 @@ class Retuning:
         """
         if revised:
             self._fits, self._before, self._carried, self._anew = self._unchanged
-        else:
-            self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew)
+        self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew)
         for axis in axes:
             last = self._fits.pop(axis, None)
             if last:
@@ -198,13 +197,12 @@ class Retuning:
 
     def _reason(self, model: Model, axis: str, fresh: AxisTuning) -> str:
         """The reason for new gains; empty if those in use may stay."""
-        flown = self._flown.get(axis)
+        anew, flown = axis in self._anew, self._flown.get(axis)
+        self._anew.discard(axis)
         if flown is None:
             return "the first, as its estimate has settled"
         vehicles = doubt(believed_possible(model, axis, DRAWS, 0), 1 / self._rate, self._latency, 0)
         lost = share_beyond(flown.law, vehicles, LOST, LOST_DELAY * flown.law.reach)
-        anew = axis in self._anew
-        self._anew.discard(axis)
         if lost > (ANEW if anew else PROBABLY):
             since = "the vehicle has changed: " if anew else ""
             return f"{since}those flown keep no margins for {100 * lost:.0f} % of what it may be"

@@ -87,7 +87,8 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Ax
     law = first_order(model, axis)
     values = np.tile([law.predictor.input, law.predictor.damping, law.predictor.delay], (count, 1))
     at = [COEFFICIENTS.index(name) for name in law.stderr]
-    values[:, at] += rng.multivariate_normal(np.zeros(len(at)), law.covariance, count)
+    if at:
+        values[:, at] += rng.multivariate_normal(np.zeros(len(at)), law.covariance, count)
     if "delay" not in law.stderr:
         values[:, 2] = rng.normal(*DELAY, count)
     values[:, 2] = np.maximum(values[:, 2], 0.0)

@@ -88,7 +88,6 @@ class LawTest:
     Attributes:
         statistic: Q over its degrees of freedom: about 1 for noise alone.
         freedom: Real numbers in the bands less free coefficients.
-        noise_freedom: Degrees of freedom of the denominator of the F distribution.
         p: p-value of the law.
         worst: Frequency of the largest misfit, by the 95 % bands [rad/s].
         worst_sigmas: That misfit in standard errors, which few degrees of freedom may make small.
@@ -97,7 +96,6 @@ class LawTest:
 
     statistic: float
     freedom: int
-    noise_freedom: float
     p: float
     worst: float
     worst_sigmas: float

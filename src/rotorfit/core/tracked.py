@@ -46,6 +46,9 @@ QUANTITIES = ("input", "damping", "delay", "lag", "zero", "steady_gain", "total_
 TIMES = ("delay", "lag", "zero", "total_lag")
 """Quantities in s, which are compared by their difference; the others are compared by their ratio."""
 
+RATIOS = ("input", "damping", "lag", "level", "steady_gain")
+"""Quantities whose change an alarm gives as a ratio; every other parameter of a law may be zero."""
+
 
 @dataclass(frozen=True)
 class TrackedAxis:
@@ -241,12 +244,17 @@ class Alarm:
         named = f"{', '.join(self.axes)}: {self.named}"
         return f"ALARM {named}" if self.revises is None else f"REVISED {named}, alarm of {self.revises:.2f} s"
 
+    def is_ratio(self, name: str) -> bool:
+        """Whether an interval in `change` is of the new value over the old one; else of their difference."""
+        what = name.split(".")[1]
+        return what in RATIOS and not (self.cause == "another_vehicle" and what in TIMES)
+
     def unit(self, name: str) -> str:
-        """Unit of a difference in `change`; empty for a ratio."""
+        """Unit of an interval in `change`; empty for a ratio, and for a difference without or in a rare unit."""
         axis, what = name.split(".")
         if what == "trim":
             return f"{POSE_UNITS[axis]}/s^2"
-        return "s" if what in (TIMES if self.cause == "another_vehicle" else ("delay",)) else ""
+        return "s" if what in TIMES and not self.is_ratio(name) else ""
 
     def to_mapping(self) -> dict[str, Any]:
         """The alarm as a line of JSON holds it."""

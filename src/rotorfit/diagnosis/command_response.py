@@ -124,7 +124,7 @@ def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
     names = [axis for axis in flight.axes if np.ptp(flight.command[:, AXES.index(axis)]) > 0]
     if not names or len(motion.time) < LEAST_POSES:
         return Answers(None, {})
-    motion = _thinned(motion, flight.duration)
+    motion = thinned(motion, flight.duration)
     lagged = _smoothed(flight, motion.time, [AXES.index(name) for name in names])
     frames: tuple[Literal["heading", "world"], ...] = ("heading", "world")
     fits = {frame: [_fit(lagged, motion.time, _along(motion, frame, k)) for k in range(4)] for frame in frames}
@@ -135,7 +135,8 @@ def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
     return Answers(frame if turned else None, found, left[frame])
 
 
-def _thinned(motion: Motion, duration: float) -> Motion:
+def thinned(motion: Motion, duration: float) -> Motion:
+    """The motion at about `RATE` times a second of a flight of this duration [s]."""
     thin = max(1, round(len(motion.time) / max(duration, 1e-9) / RATE))
     return Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))
 

@@ -22,14 +22,11 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import UNIT_SCALE, Array
 from rotorfit.core.results import Motion
-from rotorfit.diagnosis.command_response import SIGNIFICANT, TURNING, CommandResponse, answers_of
+from rotorfit.diagnosis.command_response import SIGNIFICANT, TURNING, CommandResponse, answers_of, thinned
 from rotorfit.diagnosis.motion_checks import LAGS, lagged_command
 from rotorfit.diagnosis.recording import Recording
 
 Complex = npt.NDArray[np.complex128]
-
-RATE = 10.0
-"""Rate of the poses that are used [Hz]: the windows that differentiate them are half a second long."""
 
 BLOCKS = 10
 """Number of stretches of the flight, each of which is left out in turn for the standard errors."""
@@ -92,8 +89,7 @@ def frame_findings(recording: Recording) -> Iterator[Finding]:
     moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
     if not moved or len(motion.time) < LEAST_POSES or not np.any(motion.acceleration[:, :2]):
         return
-    thin = max(1, round(len(motion.time) / max(flight.duration, 1e-9) / RATE))
-    part = Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))
+    part = thinned(motion, flight.duration)
     own = directions(flight, part, moved, 1)
     others = [directions(flight, part, moved, turns) for turns in _other_turns(card, float(np.std(part.yaw)))]
     if others:

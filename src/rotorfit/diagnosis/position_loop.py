@@ -107,7 +107,7 @@ def _begins(flight: Flight, motion: Motion) -> Array:
         for part in flight.segments
     ]
     begin: Array = np.concatenate(parts)
-    return begin[:: max(1, begin.size // THINNED)]
+    return begin[:: max(1, -(-begin.size // THINNED))]
 
 
 def _integral(time: Array, value: Array) -> Array:

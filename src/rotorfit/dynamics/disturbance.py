@@ -246,17 +246,6 @@ def update_covariance(P: Array, m: int, axis: int, noise: float, gain: Array) ->
 
 
 @inner()
-def update_rate(P: Array, m: int, axis: int, noise: float, gain: Array) -> Any:
-    """Updates the blocks P[m] with a measured velocity s of one axis; as `update_covariance`."""
-    S = P[m, axis, 1, 1] + noise
-    for i in range(3):
-        gain[3 * axis + i] = P[m, axis, 1, i] / S
-        gain[3 * (1 - axis) + i] = (P[m, 2, 1, i] if axis == 0 else P[m, 2, i, 1]) / S
-    _take_off(P, m, gain, S)
-    return S
-
-
-@inner()
 def _take_off(P: Array, m: int, gain: Array, S: float) -> None:
     """Subtracts the update by a measurement of variance S with this gain from the blocks P[m]."""
     for i in range(3):

@@ -65,18 +65,26 @@ class Stated(NamedTuple):
 
     Attributes:
         start: Shape (S,) [s].
+        known: When the poses that an error needs have come, shape (S,) [s].
         error: See `Bands`.
         variance: Variance of the measurement as predicted by the filters, shape (S, 2, 4).
     """
 
     start: Array
+    known: Array
     error: Array
     variance: Array
 
 
 def stated(part: Predictions, horizon: float) -> Stated:
     """Errors of predictions, and the variances predicted by their filters; the predictions must have states."""
-    return Stated(part.start, end_errors(part, part.predicted, horizon), _variance(part, horizon))
+    half = _half_width(part)
+    return Stated(
+        part.start,
+        part.start + horizon + half,
+        end_errors(part, part.predicted, horizon),
+        _variance(part, horizon, half),
+    )
 
 
 def error_bands(parts: Sequence[Predictions], horizon: float) -> Bands:
@@ -91,16 +99,20 @@ def error_bands(parts: Sequence[Predictions], horizon: float) -> Bands:
 
 def bands_of(pieces: Sequence[Stated], horizon: float) -> Bands:
     """Error bands from pieces in the order of their starts, at one horizon [s]."""
-    none = Stated(np.empty(0), np.empty((0, 2, 4)), np.empty((0, 2, 4)))
-    start, error, variance = (np.concatenate(column) for column in zip(none, *pieces, strict=True))
-    factor, freedom = _learned(start, error**2 / variance, horizon)
+    none = Stated(np.empty(0), np.empty(0), np.empty((0, 2, 4)), np.empty((0, 2, 4)))
+    start, known, error, variance = (np.concatenate(column) for column in zip(none, *pieces, strict=True))
+    factor, freedom = _learned(start, known, error**2 / variance, horizon)
     return Bands(start, error, np.sqrt(variance * factor), freedom)
 
 
-def _variance(part: Predictions, horizon: float) -> Array:
+def _half_width(part: Predictions) -> float:
+    """Half width of the window from whose poses the velocity is measured [s]."""
+    return max(REFERENCE_HALF_WIDTH, (REFERENCE_LEAST - 1) / 2 * part.period)
+
+
+def _variance(part: Predictions, horizon: float, half: float) -> Array:
     """Variance of the measurement as predicted by the filters, in the heading frame at the horizon, (S, 2, 4)."""
     out = np.full((part.start.size, 2, 4), np.nan)
-    half = max(REFERENCE_HALF_WIDTH, (REFERENCE_LEAST - 1) / 2 * part.period)
     count = max(REFERENCE_LEAST, 2 * half * part.time.size / (part.time[-1] - part.time[0]))
     for first, state in zip((0, 2), part.states, strict=True):
         if state is not None:
@@ -119,11 +131,12 @@ def _variance(part: Predictions, horizon: float) -> Array:
     return out
 
 
-def _learned(start: Array, square: Array, horizon: float) -> tuple[Array, Array]:
+def _learned(start: Array, known_from: Array, square: Array, horizon: float) -> tuple[Array, Array]:
     """Variance factor and degrees of freedom at every start, from errors known by then, both (S, 2, 4).
 
     Args:
         start: Increasing, shape (S,) [s].
+        known_from: When the error of each start is known, shape (S,) [s].
         square: Squared errors over their predicted variances, shape (S, 2, 4); NaN where there is none.
         horizon: Horizon [s]; overlapping predictions share their errors.
     """
@@ -131,7 +144,7 @@ def _learned(start: Array, square: Array, horizon: float) -> tuple[Array, Array]
     known, seen = np.nan_to_num(square), np.isfinite(square)
     share = min(1.0, START_EVERY / horizon)
     count, total = np.zeros(square.shape[1:]), np.zeros(square.shape[1:])  # both decayed to the previous start
-    past = np.searchsorted(start + horizon + REFERENCE_HALF_WIDTH, start, side="right")
+    past = np.searchsorted(known_from, start, side="right")
     for s in range(start.size):
         before = max(s - 1, 0)
         kept = np.exp((start[before] - start[s]) / MEMORY)

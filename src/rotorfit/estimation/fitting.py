@@ -173,14 +173,19 @@ def _gain_known(found: "_Found", axis: str) -> bool:
     return axis in found.axes and found.axes[axis].status["input"] == "ok"
 
 
+def _only(blocks: Blocks, axes: Sequence[str]) -> Blocks:
+    """The rows and columns of some axes; x and y may share a block where only one of them is wanted."""
+    out: Blocks = {}
+    for names, matrix in blocks.items():
+        keep = [i for i, name in enumerate(names) if name.split(".")[0] in axes]
+        if keep:
+            out[tuple(names[i] for i in keep)] = matrix[np.ix_(keep, keep)]
+    return out
+
+
 def _with_axis(found: "_Found", apart: "_Found", axis: str) -> "_Found":
     """The results, with one axis replaced by that of another fit."""
-    covariance: Blocks = {}
-    for names, matrix in found.covariance.items():
-        keep = [i for i, name in enumerate(names) if name.split(".")[0] != axis]
-        if keep:
-            covariance[tuple(names[i] for i in keep)] = matrix[np.ix_(keep, keep)]
-    covariance |= {names: matrix for names, matrix in apart.covariance.items() if names[0].split(".")[0] == axis}
+    covariance = _only(found.covariance, [other for other in AXES if other != axis]) | _only(apart.covariance, [axis])
     return replace(
         found,
         axes={**found.axes, axis: apart.axes[axis]},
@@ -227,7 +232,7 @@ def _found(
         parts.append(next(every))
     return _Found(  # x and y may be fitted together where only one of them is wanted
         {axis: known for part in parts for axis, known in part.axes.items() if axis in wanted},
-        {k: v for part in parts for k, v in part.covariance.items() if all(n.split(".")[0] in wanted for n in k)},
+        _only({names: matrix for part in parts for names, matrix in part.covariance.items()}, wanted),
         {axis: estimate for part in parts for axis, estimate in part.estimates.items() if axis in wanted},
         {axis: remark for part in parts for axis, remark in part.remarks.items() if axis in wanted},
         {axis: one for part in parts for axis, one in part.plain.items() if axis in wanted},

@@ -22,6 +22,7 @@ from rotorfit.core.model import NORMAL
 from rotorfit.core.results import Braking
 from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
+from rotorfit.estimation.judgement.residual_variance import orthonormal
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
@@ -42,9 +43,6 @@ STEP = 0.01
 
 LAGS = tuple(0.1 * j for j in range(11))
 """Ages of the commands to which a linear law may give any weight [s]."""
-
-DEPENDENT = 1e-6
-"""Share of the largest singular value below which a direction of the linear laws' effects counts as dependent."""
 
 
 def braking(estimate: Estimate) -> Braking | None:
@@ -122,9 +120,8 @@ def _freed(rec: Record, estimate: Estimate, flight: int, rows: slice) -> tuple[A
     Both have shape (B,).
     """
     white, begin = _whitened(rec, estimate, flight, estimate.optimum.point.start[rows])
-    segment = np.cumsum(rec.fresh)
-    starts = [white[:, begin] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
-    free = _basis(np.hstack([np.delete(white[:, :-1], begin, axis=1), *starts]))
+    starts = [white[:, begin] * (rec.segment == number)[:, None] for number in range(rec.starts.size)]
+    free = orthonormal(np.hstack([np.delete(white[:, :-1], begin, axis=1), *starts]))
     own, e = white[:, -1], estimate.optimum.score.innovations[flight][:, estimate.place]
     return own - free @ (free.T @ own), e - free @ (free.T @ e)
 
@@ -137,13 +134,6 @@ def _whitened(rec: Record, estimate: Estimate, flight: int, start: Array) -> tup
     begin = slice(known.shape[1] - len(rec.axes), known.shape[1])
     del known  # half an hour takes 10 MB and more, and so do the next ones
     return whiten(rec, columns, point.levels)[0][:, :, estimate.place].copy(), begin
-
-
-def _basis(columns: Array) -> Array:
-    """An orthonormal basis of columns (B, C), those without power and dependent ones left out."""
-    size = np.sqrt(np.sum(columns**2, axis=0))
-    basis, value, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(basis[:, value > DEPENDENT * value[0]])
 
 
 def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:

@@ -12,7 +12,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import CommandMeaning, command_of
 from rotorfit.core.model import Model
-from rotorfit.core.plain import shown
+from rotorfit.core.plain import check_finite, plain_toml, shown
 from rotorfit.core.writing import write_whole
 from rotorfit.files.mistaken import mistaken
 from rotorfit.version import __version__
@@ -189,6 +189,7 @@ def read_gains(path: str | Path) -> dict[str, Any]:
             raise ModelError(
                 f"{path}: gains version {shown(version)}, this one reads {VERSION}; use the rotorfit that wrote it"
             )
+        check_finite(mapping)
         for axis, one in mapping["axes"].items():
             law_of(mapping, axis)
             float(one["bandwidth"])
@@ -208,15 +209,13 @@ def _parsed(path: Path) -> dict[str, Any]:
     """
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".toml":
-        import tomllib
-
-        return tomllib.loads(text)
+        return plain_toml(text)
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
         return dict(YAML(typ="safe").load(text))
-    except YAMLError:
+    except (YAMLError, RecursionError):
         raise ValueError(path) from None
 
 

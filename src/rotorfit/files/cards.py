@@ -250,6 +250,8 @@ def _channel(value: Any, place: str, units: tuple[str, ...], command: bool = Fal
     _check_keys(value, ("from", "scale", "offset", "unit", *(("meaning", "full_scale") if command else ())), place)
     if "from" not in value:
         raise CardError(f"{place}: from is missing: which column?")
+    if value.get("scale") == 0:
+        raise CardError(f"{place}.scale: must not be 0, which would make a constant of the column")
     return Channel(
         source=_source(value["from"], f"{place}.from"),
         scale=_number(value.get("scale", 1.0), f"{place}.scale"),

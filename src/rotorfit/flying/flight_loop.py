@@ -165,26 +165,40 @@ class _Flight:
 
     def left(self, ending: Ending, land: bool) -> bool:
         """Hover, active braking if the vehicle needs it, hover, landing if asked, end of the log; whether it lands."""
-        link, recorder = self.link, self.recorder
         self._phase, self._steering = "", False
-        self._try(self._send, HOVER)
-        recorder.window(self._stamp, False)
-        recorder.event(self._stamp, f"end: {ending.text}")
+        try:
+            self._hover(ending)
+        finally:  # an error of a driver keeps its trace, and the vehicle lands
+            try:
+                landed = land and self._land()
+            finally:
+                self.recorder.close()
+        return landed
+
+    def _hover(self, ending: Ending) -> None:
+        """Ends the motion of the vehicle, and keeps it where it is for `HOVERING`."""
+        try:
+            self._try(self._send, HOVER)
+        finally:
+            self.recorder.window(self._stamp, False)
+            self.recorder.event(self._stamp, f"end: {ending.text}")
         if ending.reason not in ("error", "command", "link_lost"):  # braking must not rely on what has just failed
             self._try(self._brake, coasting_axes(self.tracker))
         for _ in range(max(10, round(HOVERING * self.plan.rate))):
             self._try(self._listen)
             self._try(self._send, HOVER)
-        landed = land and self._try(link.act, "land")
-        if landed:
-            recorder.event(link.now, "landing")
-            until = link.now + round(WATCHING * 1e9)
-            while link.now < until and self._try(self._listen):
-                pass
-        elif land:
+
+    def _land(self) -> bool:
+        """Asks the vehicle to land, and records its way down; whether it lands."""
+        link = self.link
+        if not self._try(link.act, "land"):
             self.notes.append("the link did not take the order to land: land by other means")
-        recorder.close()
-        return landed
+            return False
+        self.recorder.event(link.now, "landing")
+        until = link.now + round(WATCHING * 1e9)
+        while link.now < until and self._try(self._listen):
+            pass
+        return True
 
     def jitter(self) -> Jitter:
         """How late the commands of the flight were."""

@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -66,7 +66,8 @@ def _keys() -> Iterator[Callable[[], bytes]]:
     try:
         yield lambda: os.read(terminal, 64) if select.select([terminal], [], [], 0)[0] else b""
     finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, mode)
+        with suppress(termios.error):  # the terminal was closed
+            termios.tcsetattr(terminal, termios.TCSADRAIN, mode)
 
 
 PRIORITY, OTHERS = 20, 10

@@ -133,6 +133,11 @@ def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
         if one := prior.get(name):
             mean[i], covariance[i], covariance[:, i] = one.mean, 0.0, 0.0
             covariance[i, i] = one.sd**2
+    if not (mean[0] and mean[1] > 0 and mean[2] >= 0):
+        raise PlanError(
+            f"card {card.name}, [prior] {axis}: no flight can be planned for an input of {mean[0]:g}, a damping of "
+            f"{mean[1]:g} and a delay of {mean[2]:g}: give one that is not 0, one above 0, and one of 0 or more"
+        )
     return mean, covariance, note
 
 

@@ -17,7 +17,7 @@ from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.models import load
-from rotorfit.files.plans import plan_mapping
+from rotorfit.files.plans import plan_from_mapping, plan_mapping
 from rotorfit.planning.belief import Belief, belief_from_card, belief_from_model
 from rotorfit.planning.next_flight import NextFlight, next_flight
 from rotorfit.planning.plan_flight import TOGETHER, plan_flight, plan_flights
@@ -132,11 +132,17 @@ def planned(request: Request, progress: Progress | None = None) -> tuple[list[Pl
             card, space, belief, request.duration, design=request.design, axes=request.axes, frozen=frozen, **chosen
         )  # fmt: skip
         proposal = replace(proposal, plan=_with_room_note(proposal.plan, request))
-        return [proposal.plan], proposal
+        return [_flyable(proposal.plan)], proposal
     axes = tuple(request.axes or (axis for axis in AXES if axis in card.command))
     make = plan_flights if request.separate else _one
     plans = make(card, space, request.design or DESIGN, axes, request.duration, belief, **chosen)
-    return [_with_room_note(plan, request) for plan in plans], None
+    return [_flyable(_with_room_note(plan, request)) for plan in plans], None
+
+
+def _flyable(plan: Plan) -> Plan:
+    """The plan, unless `load_plan` would refuse it as a file."""
+    plan_from_mapping(plan_mapping(plan), plan.name)
+    return plan
 
 
 def _one(*asked: Any, **chosen: Any) -> list[Plan]:

@@ -294,21 +294,21 @@ def _share(share: float) -> str:
 
 def _changes(alarm: Alarm) -> tuple[str, ...]:
     """What changed and by how much, with its interval; axes with equal changes are combined."""
-    alike: dict[tuple[str, str, tuple[float, float]], list[str]] = {}
-    for name, ends in alarm.change.items():
+    alike: dict[tuple[str, str], list[str]] = {}
+    for name in alarm.change:
         axis, what = name.split(".")
-        alike.setdefault((what, alarm.unit(name), ends), []).append(axis)
-    return tuple(
-        f"{term_of(what)} of {and_list(axes)} {_by(unit, *ends)}" for (what, unit, ends), axes in alike.items()
-    )
+        alike.setdefault((what, _by(alarm, name)), []).append(axis)
+    return tuple(f"{term_of(what)} of {and_list(axes)} {by}" for (what, by), axes in alike.items())
 
 
-def _by(unit: str, low: float, high: float) -> str:
-    if not unit:
+def _by(alarm: Alarm, name: str) -> str:
+    low, high = alarm.change[name]
+    if alarm.is_ratio(name):
         return f"{low:.2f} to {high:.2f} times what it was"
+    unit = alarm.unit(name)
     factor, unit = (1e3, "ms") if unit == "s" else (1.0, unit.replace("^2", "²"))
     ends = " to ".join(f"{factor * end:+.2g}".replace("-", "−") for end in (low, high))
-    return f"by {ends} {unit}"
+    return f"by {ends} {unit}".rstrip()
 
 
 # The regimes and how to go on

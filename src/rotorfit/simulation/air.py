@@ -162,7 +162,7 @@ def wind_of(options: Sequence[str], address: str) -> "Wind":
     """The wind of a link address, from the options after its vehicle; raises as `open_link`."""
 
     known, given = {"wind": 0.0, "gusts": 0.0}, f"--link sim{'' if address.startswith(',') else ':'}{address}"
-    for option in options:
+    for option in reversed(options):  # the first of two counts
         key, equal, text = option.partition("=")
         try:
             if key not in known or not equal:

@@ -4,7 +4,6 @@ A payload, a weak propeller, a failing battery, other limits, a slower radio. Ch
 mocap (`sensors.Mocap`), rising wind to the air (`air.Wind`).
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,6 +30,9 @@ class Given:
     example: str
     count: int = 1
 
+
+LATEST = 1e7
+"""Latest instant of a change [s]."""
 
 GIVEN: Mapping[str, Given] = {
     "mass": Given("a factor", 0.1, 10, "mass=1.3@40"),
@@ -126,7 +128,7 @@ def changes_of(options: Sequence[str], address: str) -> tuple[Change, ...]:
         known = GIVEN[key]
         try:
             numbers, time = [float(part) for part in text.split("/")], float(when)
-            sound = all(known.low <= number <= known.high for number in numbers) and 0 <= time < math.inf
+            sound = all(known.low <= number <= known.high for number in numbers) and 0 <= time <= LATEST
             if not sound or len(numbers) != known.count:
                 raise ValueError
         except ValueError:

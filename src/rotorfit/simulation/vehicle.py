@@ -356,9 +356,15 @@ def _value(kind: Any, value: Any, place: str) -> Any:
     return _number(value, place)
 
 
+NEVER = ("land_after", "learning")
+"""Times that may be infinite: it never happens."""
+
+
 def _number(value: Any, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
         raise VehicleError(f"{place}: must be a number that is not negative, not {shown(value)}")
+    if math.isinf(value) and not place.endswith(NEVER):
+        raise VehicleError(f"{place}: must be finite; only {' and '.join(NEVER)} may be inf, for never")
     return float(value)
 
 

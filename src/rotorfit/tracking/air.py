@@ -108,7 +108,7 @@ def _filtered(
     """The filter of a pair of axes at the last pose, and the mean wind; None if there are too few poses."""
     first = next(iter(known.values()))
     begin = float(first.records[-1].starts[-1])
-    start = _start(pair, known)
+    start = _start(flight, pair, known, begin)
     if flight.pose_time[-1] - begin > LOOKS_BACK:
         begin = float(flight.pose_time[-1]) - LOOKS_BACK
         start = _measured(flight, pair, begin)
@@ -224,8 +224,10 @@ def _levels(estimate: Estimate | None) -> Array:
     return np.ones(4) if estimate is None else np.exp(estimate.optimum.point.levels[estimate.place, :4])
 
 
-def _start(pair: Pair, known: Mapping[str, Estimate]) -> Array:
-    """World velocity of a pair at the start of the last segment, shape (2,) [m/s, rad/s]."""
+def _start(flight: Flight, pair: Pair, known: Mapping[str, Estimate], begin: float) -> Array:
+    """World velocity of a pair at the start of the last segment of its first axis, shape (2,) [m/s, rad/s]."""
+    if any(one.records[-1].starts[-1] != begin for one in known.values()):
+        return _measured(flight, pair, begin)  # an axis that was fitted only where it is commanded begins elsewhere
     out = np.zeros(2)
     for k, axis in enumerate(pair):
         if axis in known:

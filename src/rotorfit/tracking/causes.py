@@ -22,7 +22,7 @@ import numpy as np
 
 from rotorfit.core.frames import Array, Mask
 from rotorfit.core.model import NORMAL
-from rotorfit.core.tracked import Cause
+from rotorfit.core.tracked import RATIOS, Cause
 from rotorfit.tracking.changes import Contrast
 from rotorfit.tracking.scores import Scores
 
@@ -164,7 +164,7 @@ def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -
         kind = name.split(".")[1]
         if kind == "input":  # the motion is linear in the gain, not in its logarithm
             low, high = 1 + low, 1 + high
-        elif kind not in ("delay", "trim"):
+        elif kind in RATIOS:
             low, high = float(np.exp(low)), float(np.exp(high))
         out[name] = (float(low), float(high))
     return out

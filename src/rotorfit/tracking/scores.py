@@ -259,7 +259,7 @@ class _Whitened:
                 scale.append(EXPECTED["trim"])
                 doubt.append(LEAST_DOUBT["trim"] / EXPECTED["trim"])
                 own.append(k)
-        segment = np.repeat(np.cumsum(self._rec.fresh) - 1, K)
+        segment = np.repeat(self._rec.segment, K)
         free = [columns[:, trim + k] for k in range(K) if k not in own]
         free += [columns[:, start + k] * (segment == s) for k in range(K) for s in range(self._rec.starts.size)]
         time = np.repeat(self._rec.block_time, K)
@@ -278,7 +278,7 @@ def _jerked(rec: Record, sticks: Sticks) -> Mask:
 
 def _begun_braking(rec: Record, sticks: Sticks) -> Mask:
     """The blocks of a braking vehicle in answers that began while it braked, shape (B,)."""
-    begun = rec.block_time[np.flatnonzero(rec.fresh)][np.cumsum(rec.fresh) - 1]
+    begun = rec.block_time[np.flatnonzero(rec.fresh)][rec.segment]
     let_go = _latest(sticks.let_go, rec.block_time)
     return np.asarray((rec.block_time < let_go + BRAKES) & (begun > let_go))
 

@@ -46,6 +46,7 @@ def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Ma
     if late:
         error = max(late.error(optimum), 1e-3)
         sooner, later = (weights @ _command(flight, axis, time - late.value + off) for off in (error, -error))
+        widened = {**widened, late.name: widened.get("delay", 1.0)}
         by[late.name] = told["input"].value * (sooner - later) / (2 * error)
     slope = np.sum([by[name] * widened.get(name, 1.0) * told[name].slope for name in by], axis=0)
     slope[_trim_at(optimum.point, k)] = (1 - weights.sum()) * max(widened.values(), default=1.0)

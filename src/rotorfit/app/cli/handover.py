@@ -36,8 +36,10 @@ def export(
     from rotorfit.exports.formats import FORMATS
 
     if to is None:
+        if output or logs:
+            raise click.UsageError("--to FORMAT is missing: which format is to be written?")
         if as_json:
-            told = ("suffix", "text", "template", "linear", "plain", "needs")
+            told = ("suffix", "text", "linear", "plain", "needs")
             return print_json(
                 {"formats": {name: {key: getattr(form, key) for key in told} for name, form in FORMATS.items()}}
             )
@@ -102,10 +104,11 @@ def tune(
     """Tune a position controller, as fast as the accuracy of the model allows."""
     from rotorfit.app.workflows import check_destination
     from rotorfit.control.tuning import tune as tuned
-    from rotorfit.exports.gains import GAINS_MARK, save_gains, tuning_mapping
+    from rotorfit.exports.gains import GAINS_MARK, check_gains_name, save_gains, tuning_mapping
     from rotorfit.files.models import load
 
     if output:
+        check_gains_name(output)
         check_destination(output, GAINS_MARK)
     model = load(model_path)
     tuning = tuned(model, design, rate=rate, latency=latency, axes=axes, peak=peak, seed=seed)

@@ -54,6 +54,10 @@ def structure_of(ctx: click.Context, _parameter: click.Parameter, name: str | No
     return name or AVERAGED
 
 
+FARTHEST = 3600.0
+"""Longest horizon [s]."""
+
+
 def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
     """Horizons [s], separated by commas; those of the protocol if none is given."""
     from rotorfit.core.results import HORIZONS
@@ -62,8 +66,8 @@ def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | Non
         horizons = HORIZONS if text is None else tuple(float(part) for part in text.split(","))
     except ValueError:
         horizons = ()
-    if not horizons or not all(0 < horizon < float("inf") for horizon in horizons):
-        raise click.BadParameter(f"{text!r} is no list of positive seconds, such as 0.5,1,2,5", ctx)
+    if not horizons or not all(0 < horizon <= FARTHEST for horizon in horizons):
+        raise click.BadParameter(f"{text!r} is no list of seconds from 0 to {FARTHEST:g}, such as 0.5,1,2,5", ctx)
     return horizons
 
 
@@ -86,7 +90,7 @@ class Number(click.FloatRange):
         return number
 
 
-SEED = click.IntRange(min=0)
+SEED = click.IntRange(0, (1 << 63) - 1)
 
 
 class _File(click.Path):

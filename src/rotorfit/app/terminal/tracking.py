@@ -94,14 +94,14 @@ def alarm_view(alarm: Alarm) -> View:
     yield head
     yield indented(f"{alarm.why}.", 11)
     if alarm.change:
-        changed = (_changed(name, ends, alarm.unit(name)) for name, ends in alarm.change.items())
+        changed = (_changed(alarm, name) for name in alarm.change)
         yield indented(f"{'; '.join(changed)}.", 11)
 
 
-def _changed(name: str, ends: tuple[float, float], unit: str) -> str:
-    """What changed, and the interval of the difference, or of the ratio where there is no unit."""
-    words, (low, high) = re.sub("[._]", " ", name), ends
-    return f"{words} by {low:.3g} to {high:.3g} {unit}" if unit else f"{words} times {low:.3g} to {high:.3g}"
+def _changed(alarm: Alarm, name: str) -> str:
+    """What changed, and the interval of the ratio or of the difference."""
+    words, (low, high) = re.sub("[._]", " ", name), alarm.change[name]
+    return f"{words} {'times' if alarm.is_ratio(name) else 'by'} {low:.3g} to {high:.3g} {alarm.unit(name)}".rstrip()
 
 
 def gains_view(message: Mapping[str, Any]) -> View:

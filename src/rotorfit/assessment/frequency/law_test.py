@@ -109,7 +109,7 @@ def law_test(bands: Sequence[Band], structure: Structure, start: Predictor) -> L
     worst = int(np.argmax(shares))
     knots = np.concatenate([band.knots for band in bands])
     p = float(fdtrc(freedom, f, Q / (c * freedom)) if np.isfinite(f) else chdtrc(freedom, Q / c))
-    return LawTest(Q / freedom, freedom, f, p, float(knots[worst]), float(sigmas[worst]), float(shares[worst]))
+    return LawTest(Q / freedom, freedom, p, float(knots[worst]), float(sigmas[worst]), float(shares[worst]))
 
 
 def _left(band: Band, response: Spectrum) -> Array:

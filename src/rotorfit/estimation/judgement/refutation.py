@@ -277,7 +277,7 @@ def _refutes(one: Evidence, factor: Mapping[str, float]) -> bool:
 
 
 _CUTS = {
-    "time": "stretches of 12 s do not agree",
+    "time": "stretches of time do not agree",
     "size": "small and large commands do not agree",
     "speed": "slow and fast commands do not agree",
     "method": "likelihood and instrumental variables do not agree",

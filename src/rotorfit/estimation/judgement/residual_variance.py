@@ -68,7 +68,7 @@ def weighted_innovations(estimate: Estimate, wanted: Sequence[Estimand]) -> list
     for j, (rec, at) in enumerate(zip(estimate.records, segments(estimate.records), strict=True)):
         _, sensitivity = response(rec, point, j, point.start[at])
         rows, _ = whiten(rec, sensitivity, point.levels)
-        segment = np.cumsum(rec.fresh) - 1
+        segment = rec.segment
         own = np.r_[:first, first + j * K : first + (j + 1) * K]
         weight = np.einsum("bck,cq->bkq", rows[:, : first + K], along[own])
         starts = first + F * K + (at.start + segment)[:, None] * K + np.arange(K)

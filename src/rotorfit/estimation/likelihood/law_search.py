@@ -180,7 +180,7 @@ def thinned_record(rec: Record) -> Record:
     """
     if rec.rate is not None:
         return rec
-    segment = np.cumsum(rec.fresh) - 1
+    segment = rec.segment
     place = np.arange(rec.count.size) - np.flatnonzero(rec.fresh)[segment]
     keep = np.flatnonzero(place % EVERY == 0)
     sizes = np.bincount(segment[keep])

@@ -270,7 +270,7 @@ def reference_speed(records: Sequence[Record], k: int) -> float:
     squares, count = 0.0, 0
     for rec in records:
         ahead = np.arange(SPEED_BLOCKS, rec.count.size)
-        whole = np.cumsum(rec.fresh)[ahead] == np.cumsum(rec.fresh)[ahead - SPEED_BLOCKS]
+        whole = rec.segment[ahead] == rec.segment[ahead - SPEED_BLOCKS]
         i = ahead[whole]
         if rec.rate is not None:
             speeds = rec.position[rec.rate]

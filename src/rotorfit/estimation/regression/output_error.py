@@ -114,7 +114,7 @@ def squares_of(records: Sequence[Record], point: Point) -> Squares:
     for j, (rec, at) in enumerate(zip(records, segments(records), strict=True)):
         mean, sensitivity = response(rec, point, j, point.start[at])
         B = rec.count.size
-        segment = np.cumsum(rec.fresh) - 1
+        segment = rec.segment
         J = np.zeros((B, n, K))
         J[:, : 3 * K] = sensitivity[:, : 3 * K]
         J[:, 3 * K + j * K : 3 * K + (j + 1) * K] = sensitivity[:, 3 * K : 4 * K]

@@ -43,7 +43,7 @@ def windowed(flight: Flight, axes: Sequence[str]) -> Record | None:
         elapsed = np.floor((rec.block_time[first:last] - rec.block_time[first]) / WINDOW)
         fresh[first + 1 : last] |= np.diff(elapsed) > 0
     first_pose = np.searchsorted(rec.block, np.flatnonzero(fresh))
-    segment = np.cumsum(rec.fresh)[fresh] - 1
+    segment = rec.segment[fresh]
     return replace(
         rec,
         fresh=fresh,

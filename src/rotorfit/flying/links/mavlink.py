@@ -162,8 +162,12 @@ class MavlinkLink:
             LinkError: No heartbeat came, or the autopilot is neither PX4 nor ArduPilot.
         """
         deadline = wall_clock() + PATIENCE
-        while self._autopilot is None and not self._trouble and wall_clock() < deadline:
-            self.receive(wall_clock() + SECOND // 10)
+        try:
+            while self._autopilot is None and not self._trouble and wall_clock() < deadline:
+                self.receive(wall_clock() + SECOND // 10)
+        except LinkError:
+            self._close()
+            raise
         if self._autopilot is None:
             self._close()
             silent = f"mavlink: no heartbeat on {address or DEFAULT_ADDRESS}"
@@ -482,15 +486,19 @@ def connect(address: str) -> Any:
         connection = mavutil.mavlink_connection(
             address or DEFAULT_ADDRESS, source_system=SYSTEM, source_component=COMPONENT, autoreconnect=False
         )
-        if address.startswith("/"):
-            fcntl.flock(connection.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if address.startswith("tcp:"):
-            connection.port.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, WAITING)
-            connection.port.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)  # the kernel takes its least
+        try:
+            if address.startswith("/"):
+                fcntl.flock(connection.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if address.startswith("tcp:"):
+                connection.port.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, WAITING)
+                connection.port.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)  # the kernel takes its least
+        except OSError:
+            connection.close()
+            raise
         if address.startswith(("/", "tcp:")):
             connection.write = _Outlet(connection.fd).write
         return connection
     except BlockingIOError as error:
         raise LinkError(f"mavlink: {address} is in use by another program; end it first") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, OverflowError) as error:  # the last: a port beyond 65535
         raise LinkError(f"mavlink: cannot open {address or DEFAULT_ADDRESS}: {error}") from error

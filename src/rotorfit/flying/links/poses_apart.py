@@ -6,7 +6,7 @@ from importlib import import_module
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.flying.links import LINKS
-from rotorfit.flying.links.link import Action, Link
+from rotorfit.flying.links.link import Action, Link, Silence
 
 
 def join(commands: Link, text: str) -> Link:
@@ -35,7 +35,6 @@ class Joined:
 
     def __init__(self, commands: Link, poses: Link) -> None:
         self.live = True
-        self.fail_safe, self.silence = commands.fail_safe, commands.silence
         self._commands = commands
         self._poses = poses
 
@@ -43,6 +42,16 @@ class Joined:
     def now(self) -> int:
         """The wall clock [ns]."""
         return self._commands.now
+
+    @property
+    def fail_safe(self) -> str:
+        """That of the first link."""
+        return self._commands.fail_safe
+
+    @property
+    def silence(self) -> Silence:
+        """That of the first link, which may learn it from the vehicle later."""
+        return self._commands.silence
 
     def send(self, command: Sequence[float]) -> None:
         """Sends over the first link."""

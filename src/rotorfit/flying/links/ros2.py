@@ -98,7 +98,8 @@ class Ros2Link:
         self._window = window or Obedience({})
         self.live = True
         self._rclpy = importlib.import_module("rclpy")
-        self._rclpy.init()
+        # its own handlers would close the graph at Ctrl-C, before the vehicle hovers and the results are written
+        self._rclpy.init(signal_handler_options=importlib.import_module("rclpy.signals").SignalHandlerOptions.NO)
         self._node = self._rclpy.create_node("rotorfit")
         self._open = True
         self._inbox: list[Sample] = []

@@ -82,6 +82,11 @@ def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
     vehicle = load_vehicle(name or VEHICLE)
     if trouble := disagreement(card, card_from_mapping(vehicle.card(), vehicle.name), (whose, "the vehicle's")):
         raise LinkError(f"sim: {whose} is not one of {vehicle.name}: {trouble}; {remedy.format(name or VEHICLE)}")
+    if start[2] < conditions.floor:
+        raise LinkError(
+            f"sim: the start is at {start[2]:g} m, below the floor of the flight room at {conditions.floor:g} m: "
+            "begin or plan above it"
+        )
     return SimLink(FlightRoom(vehicle, conditions, seed, start, flying))
 
 

@@ -55,7 +55,7 @@ def open_link(address: str, card: Card) -> "TelloLink":
         LinkError: Nobody answers, the port of the state is taken, or the card is not that of a Tello.
     """
     host, _, port = address.partition(":")
-    if port and not port.isdigit():
+    if port and not (port.isdecimal() and int(port) < 1 << 16):
         raise LinkError(f"tello:{address}: {port!r} is no port; write tello, tello:HOST or tello:HOST:STATE_PORT")
     link = TelloLink(card, host or HOST, int(port or STATE_PORT))
     link.greet()
@@ -69,7 +69,7 @@ class TelloLink:
         self.live = True
         self.fail_safe, self.silence = card.fail_safe or FAIL_SAFE, Silence(card.hold or LANDS)
         self._commands, self._poses = tello_commands(card), pose_fields(card)
-        self._drone, self._state_port = (host, COMMAND_PORT), state_port
+        self._drone, self._state_port = (_address(host), COMMAND_PORT), state_port
         self._talk, self._state = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._inbox: list[Sample] = []
         self._replies: list[str] = []
@@ -174,6 +174,18 @@ class TelloLink:
         self._open = False
         self._talk.close()
         self._state.close()
+
+
+def _address(host: str) -> str:
+    """The address of a host, as its packets carry it.
+
+    Raises:
+        LinkError: There is no such host.
+    """
+    try:
+        return socket.gethostbyname(host)
+    except OSError as error:
+        raise LinkError(f"tello: no host {host} ({error.strerror}); join its network") from error
 
 
 def tello_commands(card: Card) -> CommandFields:

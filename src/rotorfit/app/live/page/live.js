@@ -148,9 +148,10 @@ function alarmed(alarm) { // a revision takes the place of its alarm
   const box = made("div", "alarm"), head = made("div");
   head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, raised at ${(alarm.revises ?? alarm.time).toFixed(2)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
   const changes = Object.entries(alarm.change).map(([name, [low, high]]) => {
-    const [axis, what] = name.split("."), seconds = alarm.cause === "another_vehicle" ? ["delay", "lag", "zero", "total_lag"] : ["delay"];
-    const unit = what === "trim" ? unitOf("{}/s²", axis) : seconds.includes(what) ? "s" : "";
-    return `${axis} ${what.replaceAll("_", " ")} ${unit ? "by" : "times"} ${between(low, high)}${unit && ` ${unit}`}`;
+    const [axis, what] = name.split("."), times = ["delay", "lag", "zero", "total_lag"].includes(what);
+    const ratio = ["input", "damping", "lag", "level", "steady_gain"].includes(what) && !(times && alarm.cause === "another_vehicle");
+    const unit = ratio ? "" : what === "trim" ? unitOf("{}/s²", axis) : times ? "s" : "";
+    return `${axis} ${what.replaceAll("_", " ")} ${ratio ? "times" : "by"} ${between(low, high)}${unit && ` ${unit}`}`;
   });
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
   raised.set(alarm.time, {box, number});
