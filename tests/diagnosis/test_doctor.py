@@ -127,6 +127,17 @@ def test_command_gaps(tmp_path: Path) -> None:
     assert share == pytest.approx(100 * lost / 40, abs=1)
 
 
+def test_gaps_take_no_more_than_the_flight(tmp_path: Path) -> None:
+    """A hold shorter than the period of the commands leaves a segment for each."""
+    log = Csv(flown())
+    path, _, card, *rest = log.write(tmp_path)
+    text = Path(card).read_text()
+    Path(card).write_text(text.replace("[command]", "[command]\nhold = 0.01"))
+
+    *_, share, _ = numbers(said("info", path, "--card", card, *rest)["command_gaps", None]["evidence"])
+    assert 90 < share <= 100
+
+
 def test_pose_gaps(tmp_path: Path) -> None:
     log = Csv(flown())
     keep = (np.abs(log.pose_time - 10) > 0.6) & (np.abs(log.pose_time - 20) > 0.3)
@@ -204,6 +215,16 @@ def test_commands_that_change_in_every_row_are_known_to_within_it(tmp_path: Path
     found = said("info", *log.write_rows(tmp_path))
     assert found["commands_by_row", None]["severity"] == "info"
     assert numbers(found["commands_by_row", None]["evidence"])[-1] == 40
+
+
+def test_stamps_of_a_coarse_clock_are_told_and_widen_the_delay_by_their_step(tmp_path: Path) -> None:
+    log = Csv(flown(two_sines))
+    log.pose_time = np.floor(log.pose_time * 10) / 10
+
+    found = said("info", *log.write_rows(tmp_path))
+    assert found["coarse_stamps", None]["severity"] == "warning"
+    assert "the clock advances in steps of 0.1 s" in found["coarse_stamps", None]["evidence"]
+    assert numbers(found["commands_by_row", None]["evidence"])[-1] == 100
 
 
 # Commands

@@ -79,6 +79,20 @@ def test_an_offset_and_a_drift_are_recovered(offset: float, drift: float) -> Non
     assert clocks.half_width < 0.004
 
 
+@pytest.mark.parametrize("lost", [0.25, 0.4, 0.6])
+def test_holes_in_the_poses_are_not_bridged(lost: float) -> None:
+    """A curve through a hole swings: one of 0.4 s moved the offset by 5 ms, three of 0.6 s left none to be found."""
+    flight, skew = flown(), Skew(0.02)
+    time = flight.pose_stamp / 1e9
+    there = ~np.any([(time >= start) & (time < start + lost) for start in (8.0, 19.0, 30.0)], axis=0)
+    of_poses = ("pose_stamp", "pose", "stale", "true_pose", "velocity", "acceleration", "wind")
+    holed = replace(flight, **{name: getattr(flight, name)[there] for name in of_poses})
+
+    whole, clocks = (clocks_of(as_one(one, skew), attitude=True) for one in (flight, holed))
+    within(clocks, skew)
+    assert clocks.half_width < 1.3 * whole.half_width
+
+
 @pytest.mark.parametrize("offset", [-240.0, 1.7e9])
 def test_clocks_may_start_minutes_or_an_epoch_apart(offset: float) -> None:
     clocks = clocks_of(as_one(flown(), Skew(offset, 5e-5)), attitude=True)

@@ -19,14 +19,14 @@ from rotorfit.assessment.validation import (
     residuals,
 )
 from rotorfit.assessment.whiteness import LEAST_BLOCKS, autocorrelation, cross_correlation
-from rotorfit.core.flight_data import LONGEST_GAP, Flight
+from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.frequency_response import ResponseComparison
 from rotorfit.core.model import STRUCTURE, Model, with_findings
 from rotorfit.core.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.core.residuals import Correlogram, ResidualTests
 from rotorfit.core.results import PairedTest
-from rotorfit.dynamics.kinematics import local_polynomial, motion_from_flight
+from rotorfit.dynamics.kinematics import motion_from_flight, smoothed
 from rotorfit.dynamics.protocol import START_EVERY, Predictions, predict_flight
 from rotorfit.estimation.regression.paper import modelled_acceleration
 
@@ -201,7 +201,7 @@ def command_and_velocity(flight: Flight) -> tuple[Array, Array, Array]:
 def _measured(flight: Flight) -> Array:
     """Velocities at the poses, heading frame, shape (N, 4)."""
     t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])
-    velocity = local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity
+    velocity = smoothed(t, pose, t).velocity
     velocity[:, :2] = heading_from_world(velocity[:, :2], flight.yaw)
     return velocity
 
@@ -209,7 +209,7 @@ def _measured(flight: Flight) -> Array:
 def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[str, Array]:
     """Measured and predicted velocities at the poses, heading frame, each (N, 4)."""
     t, pose, known = flight.pose_time, np.column_stack([flight.position, flight.yaw]), _known(model)
-    lines = {"measured": local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity}
+    lines = {"measured": smoothed(t, pose, t).velocity}
     told = {"measured": np.ones(4, bool), "model": known}
     parts = predict_flight(flight, dynamics_from_model(model, flight), 2 * START_EVERY) if known.any() else ()
     paper = np.array([np.nan if g is None else g for g in model.paper])

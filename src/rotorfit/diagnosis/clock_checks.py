@@ -151,6 +151,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
         yield from two_files(flight.clocks)
     else:
         yield from _corrected(flight) if flight.stamp_error else _two_clocks(log, card)
+    yield from _coarse(flight)
     yield from _stale(flight)
 
 
@@ -159,7 +160,7 @@ def _command_gaps(flight: Flight) -> Iterator[Finding]:
     if len(parts) < 2:
         return
     holes = [b.start - a.end for a, b in pairwise(parts)]
-    lost = sum(holes) + SETTLING_LOSS * len(holes)
+    lost = sum(holes) + sum(min(SETTLING_LOSS, part.end - part.start) for part in parts[1:])
     share = lost / (parts[-1].end - parts[0].start)
     if share > LOST_SHARE:
         yield Finding(
@@ -272,6 +273,21 @@ def _against_recorder(log: Log, time: Channel, channels: Mapping[str, Channel]) 
 def _length(stamps: Stamps) -> float:
     there = stamps[increasing(stamps)]
     return float(there[-1] - there[0]) / 1e9
+
+
+def _coarse(flight: Flight) -> Iterator[Finding]:
+    """Stamps of which most are the same as the one before."""
+    for what, time in (("pose", flight.pose_time), ("command", flight.command_time)):
+        dropped = sum(note.count for note in flight.notes if note.code == f"{what}_stamps_repeated")
+        if dropped > time.size > 1:
+            yield Finding(
+                "coarse_stamps",
+                "warning",
+                f"{dropped} of {dropped + time.size} {what}s repeat a stamp: the clock advances in steps of "
+                f"{np.median(np.diff(time)):.3g} s",
+                f"the first {what} of each step is used and the others are lost; what moves within a step is not seen",
+                f"log stamps in milliseconds or finer, or name a finer column as time of [{what}]",
+            )
 
 
 def _stale(flight: Flight) -> Iterator[Finding]:

@@ -320,15 +320,15 @@ def seen_in(flight: Flight, low: float, high: float) -> MeasuredSegment:
     inside = (flight.pose_time >= low) & (flight.pose_time <= high)
     t, pose = flight.pose_time[inside], np.column_stack([flight.position, flight.yaw])[inside]
     if flight.velocity is None or not flight.velocity_only or not t.size:
-        return MeasuredSegment(t, pose, _smooth(t, pose, t).velocity.copy())  # the other derivatives can go
+        return MeasuredSegment(t, pose, smoothed(t, pose, t).velocity.copy())  # the other derivatives can go
     own = flight.velocity.between(float(t[0]), high)
     time = np.union1d(t, own.time)
     velocity = np.full((time.size, len(AXES)), np.nan)
     velocity[np.searchsorted(time, own.time)] = own.value
     alone = np.isin(AXES, flight.velocity_only)
-    reference = _smooth(t, pose, time).velocity
+    reference = smoothed(t, pose, time).velocity
     for k in np.flatnonzero(alone):  # the same cubic smooths what needs no derivative
-        reference[:, k] = _smooth(own.time, own.value[:, k : k + 1], time).value[:, 0]
+        reference[:, k] = smoothed(own.time, own.value[:, k : k + 1], time).value[:, 0]
     return MeasuredSegment(
         time=time,
         pose=np.column_stack([np.interp(time, t, column) for column in pose.T]),
@@ -340,5 +340,6 @@ def seen_in(flight: Flight, low: float, high: float) -> MeasuredSegment:
     )
 
 
-def _smooth(time: Array, values: Array, at: Array) -> Derivatives:
+def smoothed(time: Array, values: Array, at: Array) -> Derivatives:
+    """Values (N, K) by the local cubic of the reference velocity."""
     return local_polynomial(time, values, at, REFERENCE_HALF_WIDTH, 3, least=REFERENCE_LEAST, max_gap=LONGEST_GAP)

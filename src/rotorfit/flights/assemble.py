@@ -216,7 +216,7 @@ def _row_period(log: Log, card: Card) -> float:
         stamps_of(log, time)[sample_rows(log, time, channels)]
         for time, channels in ((card.command_time, card.command), (card.pose_time, card.pose))
     )
-    return (median_period(commands) or 0) / 1e9 if np.array_equal(commands, poses) else 0.0
+    return (median_period(np.unique(commands)) or 0) / 1e9 if np.array_equal(commands, poses) else 0.0
 
 
 def _read_notes(log: Log) -> Iterator[Note]:

@@ -50,8 +50,11 @@ def seen_by(poses: Stream) -> GriddedMotion:
     value = np.column_stack([poses.values[:, :3], np.unwrap(poses.values[:, 3])])
     period = float(np.median(np.diff(time)))
     grid = np.arange(0.0, float(time[-1]), STEP)
-    near = local_polynomial(time, value, grid, max(HALF_WIDTH, 4 * period), 3)
-    wide = local_polynomial(time, value, grid, max(WIDE, 6 * period), 3)
+    # a window whose middle is a hole would extrapolate from both sides
+    near, wide = (
+        local_polynomial(time, value, grid, half, 3, max_gap=half)
+        for half in (max(HALF_WIDTH, 4 * period), max(WIDE, 6 * period))
+    )
     yaw, rate = near.value[:, 3], wide.velocity[:, 3]
     level, speed, pull = (
         heading_from_world(part[:, :2], yaw) for part in (near.velocity, wide.velocity, wide.acceleration)
