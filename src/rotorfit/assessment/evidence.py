@@ -22,7 +22,7 @@ from rotorfit.assessment.whiteness import LEAST_BLOCKS, autocorrelation, cross_c
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.frequency_response import ResponseComparison
-from rotorfit.core.model import STRUCTURE, Model, with_findings
+from rotorfit.core.model import STRUCTURE, Model, Predictor, with_findings
 from rotorfit.core.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.core.residuals import Correlogram, ResidualTests
 from rotorfit.core.results import PairedTest
@@ -32,6 +32,9 @@ from rotorfit.estimation.regression.paper import modelled_acceleration
 
 LAGS = 2.0
 """Longest lag of the residuals' autocorrelation [s]."""
+
+DRAWN = (STRUCTURE, "first_order_delay_lag")
+"""Laws whose acceleration is drawn beside the measured one."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,8 @@ class FlightMotion:
             rad/s]; NaN where there is none. The modelled one is joined from predictions: at every pose, the one that
             started 0.5 to 1 s before.
         acceleration: `measured` and `model` to accelerations in the world frame, shape (N, 4) [m/s^2, rad/s^2]: the
-            paper's eq. (6) with the delayed command and the measured velocity; NaN for other structures.
+            paper's eq. (6) with the command that acts, delayed and smoothed by the lag of a law that has one, and the
+            measured velocity; NaN under other laws.
     """
 
     path: str
@@ -245,24 +249,44 @@ def _stitched(time: Array, parts: Sequence[Predictions], predicted: Sequence[Arr
 def _accelerations(model: Model, flight: Flight) -> dict[str, Array]:
     """Measured and modelled accelerations at the poses, world frame, each (N, 4).
 
-    Source: paper, eq. (6) and Figure 4, with u(t - delay).
+    Source: paper, eq. (6) and Figure 4, with u(t - delay), smoothed by the lag where the law has one; other laws have
+    no line.
     """
     motion = motion_from_flight(flight)
     points = [model.axes[axis].predictor for axis in AXES]
-    delayed = np.column_stack([_held(flight, motion.time - (p.delay if p else 0.0), k) for k, p in enumerate(points)])
+    acting = [_acting(flight, motion.time, k, point) for k, point in enumerate(points)]
     gamma = np.array([value for p in points for value in ((p.input, p.damping) if p else (np.nan, np.nan))])
     lines = {"measured": motion.acceleration}
     if _known(model).any():
-        lines["model"] = modelled_acceleration(replace(motion, command=delayed), gamma)
+        lines["model"] = modelled_acceleration(replace(motion, command=np.column_stack(acting)), gamma)
         lines["model"][:, ~_known(model)] = np.nan
-        plain = [model.axes[axis].structure == STRUCTURE for axis in AXES]
-        plain[:2] = [all(plain[:2])] * 2  # the world's x and y depend on both
-        lines["model"][:, ~np.array(plain)] = np.nan
+        drawn = [model.axes[axis].structure in DRAWN for axis in AXES]
+        drawn[:2] = [all(drawn[:2])] * 2  # the world's x and y depend on both
+        lines["model"][:, ~np.array(drawn)] = np.nan
     at, out = np.searchsorted(flight.pose_time, motion.time), {}
     for name, values in lines.items():
         out[name] = np.full((flight.pose_time.size, 4), np.nan)
         out[name][at] = values
     return out
+
+
+def _acting(flight: Flight, time: Array, k: int, point: Predictor | None) -> Array:
+    """The command that acts on an axis at each time: delayed, and smoothed by a lag from rest in each segment."""
+    if point is None:
+        return np.zeros(time.size)
+    held, lag = _held(flight, time - point.delay, k), point.extra.get("lag", 0.0)
+    if not lag:
+        return held
+    begun = np.searchsorted(flight.command_time, [part.start for part in flight.segments])
+    kept = np.exp(-np.diff(flight.command_time, prepend=flight.command_time[0]) / lag)
+    kept[begun] = 0.0
+    command, smoothed_until = flight.command[:, k], np.zeros(flight.command_time.size)  # at the stamp of each command
+    for i in range(1, smoothed_until.size):
+        if kept[i]:
+            smoothed_until[i] = command[i - 1] + (smoothed_until[i - 1] - command[i - 1]) * kept[i]
+    row = np.maximum(np.searchsorted(flight.command_time, time - point.delay, side="right") - 1, 0)
+    since = np.maximum(time - point.delay - flight.command_time[row], 0.0)
+    return np.asarray(held + (smoothed_until[row] - held) * np.exp(-since / lag))
 
 
 def _held(flight: Flight, time: Array, k: int) -> Array:

@@ -255,7 +255,7 @@ def _motion_chart(kind: str, axis: str, time: Array, drawn: Mapping[str, Array],
     modelled = "predicted" if kind == "velocity" else "modelled"
     names = {"measured": "measured", "model": modelled, "paper": "paper's prediction"}
     lines = tuple(Line(names[name], name, y) for name, y in drawn.items() if np.isfinite(y).any())
-    told = f"{axis}: there is no model to compare with"
+    told = f"{axis}: there is no {modelled} {kind} to compare with"
     if "model" in whole and np.isfinite(whole["model"] - whole["measured"]).any():
         error = whole["model"] - whole["measured"]
         spread = float(np.std(whole["measured"][np.isfinite(error)]))
