@@ -12,7 +12,7 @@ import numpy as np
 from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Four
-from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frames import AXES, POSE_UNITS, Array
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.core.limits import Meaning, expectation, meaning_of
@@ -195,6 +195,12 @@ def belief_from_model(model: Model, where: str) -> Belief:
             noise[a] = np.sqrt(levels[axis][1])
         if trims := [trim for trim in one.trim if trim is not None]:
             sigma[a] = max(float(np.sqrt(np.mean(np.square(trims)))), USUAL_TRIM[a] / 2)
+
+    def air(axis: str) -> str:
+        """Noise of the pose and standard deviation of the wind of an axis, in words."""
+        a, unit = AXES.index(axis), POSE_UNITS[axis]
+        return f"{axis} {1e3 * noise[a]:.2g} m{unit} and {wind[a]:.2g} {unit}/s^2"
+
     richer = {axis: model.axes[axis].structure for axis in known if model.axes[axis].structure != STRUCTURE}
     if richer:
         laws = ", ".join(dict.fromkeys(richer.values()))
@@ -205,6 +211,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
             f"{', '.join(unsure)}: the model does not decide between laws; errors here are those of the first-order "
             "law alone, the model's intervals cover all"
         )
+    if levels:
+        notes.append(f"noise and wind are those of the model's flights: {', '.join(map(air, levels))}")
     if frozen := frozen_axes(model.findings):
         notes.insert(0, f"{', '.join(frozen)}: {MEND}")
     covariance = _known_covariance(model, values.ravel(), covariance)

@@ -25,7 +25,7 @@ from rotorfit.planning.envelope import (
 from rotorfit.planning.optimal import AxisLimits, optimal_excitations
 from rotorfit.planning.plan_control import full_scale
 from rotorfit.planning.precision import Precision, excited_axes, informations, precision_of
-from rotorfit.planning.signals import DESIGNS, crest_factor, designed, ident_reference, paper_sines, scaled
+from rotorfit.planning.signals import DESIGNS, all_odd, crest_factor, designed, ident_reference, paper_sines, scaled
 from rotorfit.simulation.paper_vehicle import Draw
 
 RATE, RAMP, QUIET = 50.0, 2.0, 1.0
@@ -55,6 +55,11 @@ HARD_NOTE = (
     "hard steps: a vehicle whose tilt or speed lags behind its command follows their fast part less, and the "
     "likelihood, which weighs what is fast most, may take that for a smaller input gain; multisine, chirp and optimal "
     "have no such part"
+)
+
+MIXED_NOTE = (
+    "{axes} together in so short a flight: what tilt and thrust move together falls on the frequencies of y, and may "
+    "bias its damping; fly longer, or fewer axes at once"
 )
 
 CENTRING = Feedback(AXES, (0.3, 0.3, 0.6, 0.6), (0.5, 0.5, 1.0, 1.0))
@@ -364,6 +369,9 @@ def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Prog
         )
     if chosen.plan.design in HARD:
         notes = [HARD_NOTE, *notes]
+    mixed = chosen.plan.design == "multisine" and {"y", "z"} < set(wanted.axes)
+    if mixed and not all_odd(wanted.duration - 2 * QUIET, len(wanted.axes)):
+        notes = [MIXED_NOTE.format(axes=", ".join(wanted.axes)), *notes]
     factors = chosen.factors.values()
     if wanted.amplitude is None and not 0.995 <= min(factors) <= max(factors) <= 1.005:
         sizes = ", ".join(f"{axis} {factor:.2g}" for axis, factor in chosen.factors.items())

@@ -49,6 +49,9 @@ def paper_sines(axis: str, amplitude: float = 1.0) -> Sines:
 DESIGNS = ("two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal", "optimal_a")
 """Names of the designs; the first six are made here, `ident` is `ident_reference`, the last two are of `optimal`."""
 
+SPARSE = 1.0
+"""Distance from one sine of an axis to the next from which on there would be too few in a band [rad/s]."""
+
 LINES = 12
 """Largest number of frequencies in a multisine."""
 
@@ -106,20 +109,28 @@ def multisine(amplitude: float, duration: float, band: tuple[float, float], plac
     """Sines of equal amplitude, logarithmically spread over the band, with phases that keep the peak low.
 
     All are multiples of one cycle per `duration`. Axes flown together share no frequency, so that their effects are
-    distinguishable. Phases start from Schroeder's rule; then the 2 p norm of the signal is minimised for p = 2, 4, 8,
-    16, 32, whose limit is the peak.
+    distinguishable. Where more than two fly together for long enough, all multiples are odd: what two axes move
+    together, as tilt times thrust, has even ones only, and is no part of the answer of any axis. Phases start from
+    Schroeder's rule; then the 2 p norm of the signal is minimised for p = 2, 4, 8, 16, 32, whose limit is the peak.
 
     Source: M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970), pp. 85-89; P. Guillaume, J. Schoukens, R. Pintelon,
-    I. Kollar, IEEE Trans. Instrum. Meas. 40 (1991), pp. 982-989.
+    I. Kollar, IEEE Trans. Instrum. Meas. 40 (1991), pp. 982-989; odd multiples: R. Pintelon, J. Schoukens, System
+    Identification: A Frequency Domain Approach (2012), chapter 3.
     """
     first = 2 * np.pi / duration
+    every, rest = (2 * of, 2 * place + 1) if all_odd(duration, of) else (of, place)
     wanted = np.geomspace(band[0], band[1], LINES) / first
-    harmonic = np.unique(np.maximum(np.rint((wanted - place) / of), 0) * of + place)
+    harmonic = np.unique(np.maximum(np.rint((wanted - rest) / every), 0) * every + rest)
     harmonic = harmonic[harmonic > 0]
     phase = _flattened(harmonic, _schroeder(harmonic.size))
     sines = Sines((1.0,) * harmonic.size, tuple(map(float, first * harmonic)), tuple(map(float, phase)))
     size = amplitude / float(np.max(np.abs(value(sines, _fine(sines, duration)))))
     return Sines((size,) * harmonic.size, sines.frequency, sines.phase)
+
+
+def all_odd(duration: float, of: int) -> bool:
+    """Whether the sines of axes flown together for a duration [s] are odd multiples alone; see `multisine`."""
+    return of > 2 and 2 * of * 2 * np.pi / duration < SPARSE
 
 
 def _schroeder(count: int) -> Array:
