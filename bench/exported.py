@@ -44,7 +44,7 @@ def run_numpy(made: Export, folder: Path, given: Drive) -> Array:
         return module.rollout(state, past, given.command, given.dt)[:, :8]  # type: ignore[no-any-return]
     state = module.start(given.pose, given.velocity, given.command[0])
     times = np.concatenate([[0.0], given.time])
-    return module.simulate(state, given.stamp, given.command, times)[1:, :8]  # type: ignore[no-any-return]
+    return module.simulate(state, given.stamp, given.command, times, before=given.command[0])[1:, :8]  # type: ignore[no-any-return]
 
 
 def run_jax(made: Export, folder: Path, given: Drive) -> Array:
@@ -176,7 +176,7 @@ if data.dt > 0
   end
 else
   state = m.start(data.pose, data.velocity, data.command(1, :), 1);
-  out = m.simulate(state, data.stamp, data.command, [0; data.time(:)], [0 0 0 0])(2:end, 1:8);
+  out = m.simulate(state, data.stamp, data.command, [0; data.time(:)], [0 0 0 0], data.command(1, :))(2:end, 1:8);
 end
 save('-v7', 'out.mat', 'out');
 """

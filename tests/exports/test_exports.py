@@ -117,6 +117,21 @@ def test_what_is_exported_moves_as_the_model_does(
     assert (off < (EXACT if straight else STEPPED)).all(), off
 
 
+def test_what_is_exported_has_no_command_before_the_first_as_simulate_has_none(
+    run: ModuleType, model: Model, tmp_path: Path
+) -> None:
+    needed(run, "numpy")
+    save(model, tmp_path / "model.json")
+    export(tmp_path / "model.json", "numpy", tmp_path / "vehicle.py")
+    known: dict[str, Any] = {}
+    exec((tmp_path / "vehicle.py").read_text(encoding="utf-8"), known)
+    times, command = np.linspace(0.0, 3.0, 7), np.array([[0.2, -0.1, 0.1, 0.3]])
+
+    told = known["simulate"](np.zeros(8), [0.0], command, times)
+    want = simulate(model, np.array([0.0]), command, np.linspace(0.0, 3.0, 12001))
+    np.testing.assert_allclose(told[:, :4], want.pose[::2000], atol=1e-6)
+
+
 def test_the_reference_itself_agrees_with_an_integrator_that_knows_only_the_equations(
     motion: ModuleType, model: Model
 ) -> None:

@@ -110,6 +110,9 @@ def simulate(
     Returns:
         The trajectory, without trim and disturbance.
 
+    Raises:
+        ModelError: Times that do not increase, or a number that is not finite.
+
     Source: paper, eq. (5), with u(t - delay).
     """
     from rotorfit.dynamics.predictor import free_run
@@ -117,6 +120,11 @@ def simulate(
     pose = np.zeros(4) if pose is None else np.asarray(pose, float)
     velocity = np.zeros(4) if velocity is None else np.asarray(velocity, float)
     time, command_time, command = (np.asarray(a, float) for a in (time, command_time, command))
+    for name, given in (("time", time), ("command_time", command_time)):
+        if not np.all(np.diff(given) > 0):
+            raise ModelError(f"{name} does not increase: give each time once, in order")
+    if not all(np.isfinite(one).all() for one in (time, command_time, command, pose, velocity)):
+        raise ModelError("times, commands and the start must be finite numbers")
     command_time = np.append(command_time[:1] - 1.0, command_time)  # the stamp itself plays no role
     command = np.vstack([np.zeros(4) if before is None else before, command])
     points = [model.axes[axis].predictor or Predictor(0.0, 0.0, 0.0) for axis in AXES]

@@ -230,8 +230,10 @@ def _commanded(series: dict[str, Array]) -> tuple[dict[str, Array], tuple[Note, 
 
 def _heading(w: Array, x: Array, y: Array, z: Array) -> Array:
     """Yaw of quaternions, NaN where there is none: mocap bridges write zeros while the body is occluded."""
-    lost = np.sum(np.square([w, x, y, z]), axis=0) < 1e-6
-    return np.where(lost, np.nan, yaw_from_quaternion(w, x, y, z))
+    parts = np.array([w, x, y, z])
+    size = np.max(np.abs(parts), axis=0)
+    there = (size > 1e-3) & (size < 1e6)
+    return np.where(there, yaw_from_quaternion(*np.where(there, parts, 0.0)), np.nan)
 
 
 def keep_samples(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
