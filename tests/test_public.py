@@ -327,6 +327,21 @@ def test_numbers_that_nothing_has_are_one_line(room: Room) -> None:
             rf.flight(room.train, room.card, span=(0.0, value))
 
 
+def test_a_result_in_a_folder_that_is_not_there_is_one_line(room: Room, tmp_path: Path) -> None:
+    for write in (rf.save, lambda fit, path: rf.export(fit, "numpy", path)):
+        with pytest.raises(rf.RotorfitError, match=r"there is no folder .*; make it first"):
+            write(room.fit, tmp_path / "not there" / "x.py")
+
+
+@pytest.mark.parametrize(
+    ("stamps", "command", "told"),
+    [([0.0], [np.nan, 0, 0, 0], "finite"), ([1.0, 0.0], [0.1, 0, 0, 0], "command_time does not increase")],
+)
+def test_what_cannot_be_simulated_is_one_line(stamps: list[float], command: list[float], told: str, room: Room) -> None:
+    with pytest.raises(rf.RotorfitError, match=told):
+        rf.simulate(room.fit, stamps, [command] * len(stamps), [0.0, 1.0])
+
+
 def test_a_path_that_none_can_be_is_no_such_file() -> None:
     for path in ("a\0b", "9" * 5000, "\udcff"):
         for use in (rf.flight, rf.diagnose, rf.fit, rf.read, rf.load, rf.load_card, rf.load_plan):

@@ -86,7 +86,10 @@ def test_noisy_poses_get_a_slower_filter() -> None:
     assert np.all(np.array(second.law.observer) < np.array(first.law.observer))
 
 
-@pytest.mark.parametrize("asked", [{"kind": "pid"}, {"rate": 1.0}, {"latency": -0.1}, {"peak": 1.0}, {"draws": 3}])
+@pytest.mark.parametrize(
+    "asked",
+    [{"kind": "pid"}, {"rate": 1.0}, {"latency": -0.1}, {"peak": 1.0}, {"draws": 3}, {"rate": 500.0, "latency": 0.5}],
+)
 def test_what_cannot_be_asked_is_refused(asked: dict[str, object]) -> None:
     with pytest.raises(ModelError):
         tune(model_of(), **asked)  # type: ignore[arg-type]

@@ -35,17 +35,31 @@ def write_whole(path: str | Path, content: str | bytes, keep: bool = True) -> Pa
         raise type(error)(error.errno, error.strerror, str(path)) from None
 
 
+def write_result(path: str | Path, content: str | bytes) -> Path | None:
+    """Writes a file that the user has named, as `write_whole` does.
+
+    Raises:
+        LogError: Its folder is missing.
+        OSError: As `write_whole`.
+    """
+    _check_folder(Path(path))
+    return write_whole(path, content)
+
+
+def _check_folder(path: Path) -> None:
+    if not path.resolve().parent.is_dir():
+        raise LogError(f"{path}: there is no folder {path.parent}; make it first")
+
+
 def check_place(path: Path) -> None:
     """Refuses a path at which no file can be made, before the work for it begins; nothing is left there.
 
     Raises:
         LogError: Its folder is missing, or takes no file.
     """
-    folder = path.resolve().parent
-    if not folder.is_dir():
-        raise LogError(f"{path}: there is no folder {path.parent}; make it first")
+    _check_folder(path)
     try:
-        with TemporaryFile(dir=folder):
+        with TemporaryFile(dir=path.resolve().parent):
             pass
     except OSError as error:
         raise LogError(

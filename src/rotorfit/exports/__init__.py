@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rotorfit.core.errors import ExportError
-from rotorfit.core.writing import write_whole
+from rotorfit.core.writing import write_result
 from rotorfit.exports.formats import FORMATS, Format
 from rotorfit.version import __version__
 
@@ -111,7 +111,7 @@ def export(
     )
     text, kept = render(subject, to, form, lines), None
     if path:
-        kept = write_whole(path, text)
+        kept = write_result(path, text)
     return Export(to, subject.name, subject.axes, subject.notes, subject.model, text, kept)
 
 

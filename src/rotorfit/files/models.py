@@ -18,7 +18,7 @@ from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Model, Predictor, 
 from rotorfit.core.physics import physics
 from rotorfit.core.plain import place_of, plain_json, shown, text_of
 from rotorfit.core.results import FlightScores, LeftOut, PairedTest
-from rotorfit.core.writing import write_whole
+from rotorfit.core.writing import write_result
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.mistaken import kind_of, mistaken
 from rotorfit.files.schema import structured
@@ -34,7 +34,7 @@ def save(model: Model, path: str | Path) -> Path | None:
     Raises:
         OSError: The file cannot be written.
     """
-    return write_whole(path, json.dumps(to_mapping(model), indent=1, allow_nan=False) + "\n")
+    return write_result(path, json.dumps(to_mapping(model), indent=1, allow_nan=False) + "\n")
 
 
 def lost_axes(kept: Path | None, model: Model) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from rotorfit.core.errors import CardError, PlanError, nearest
 from rotorfit.core.flight_plan import AxisExcitation, Chirp, Feedback, Four, Plan, Signal, Sines, Space, Steps
 from rotorfit.core.frames import AXES
 from rotorfit.core.plain import check_finite, is_number, plain_toml, shown, text_of
-from rotorfit.core.writing import check_place, write_whole
+from rotorfit.core.writing import check_place, write_result
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.mistaken import mistaken
 from rotorfit.version import __version__
@@ -83,7 +83,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path | None:
     Raises:
         OSError: The file cannot be written.
     """
-    return write_whole(path, plan_text(plan))
+    return write_result(path, plan_text(plan))
 
 
 def plan_text(plan: Plan) -> str:

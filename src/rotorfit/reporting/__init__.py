@@ -10,7 +10,7 @@ from pathlib import Path
 from rotorfit.assessment.evidence import Evidence
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.tracked import Track
-from rotorfit.core.writing import write_whole
+from rotorfit.core.writing import write_result
 
 __all__ = ["write_figures", "write_report", "write_timeline"]
 
@@ -30,7 +30,7 @@ def write_report(evidences: Sequence[Evidence], path: Path) -> Path | None:
     """
     from rotorfit.reporting.page import page
 
-    return write_whole(path, page(evidences))
+    return write_result(path, page(evidences))
 
 
 def write_timeline(track: Track, flight: Flight, path: Path, files: Sequence[Path | None] = ()) -> Path | None:
@@ -47,7 +47,7 @@ def write_timeline(track: Track, flight: Flight, path: Path, files: Sequence[Pat
     """
     from rotorfit.reporting.timeline import timeline_page
 
-    return write_whole(path, timeline_page(track, flight, files))
+    return write_result(path, timeline_page(track, flight, files))
 
 
 def write_figures(evidence: Evidence, directory: Path) -> list[Path]:
