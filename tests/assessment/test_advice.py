@@ -9,10 +9,11 @@ import pytest
 from flights import fit_as_flown, flown, muddled, steps
 from rotorfit.app.workflows import fit_logs
 from rotorfit.assessment.advice import findings_of_fit, too_early
+from rotorfit.assessment.law_findings import law_findings
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Evidence, Mode, Predictor
+from rotorfit.core.model import Candidate, Evidence, Mode, Predictor
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.log_span import parse_log
@@ -255,6 +256,27 @@ def test_a_test_that_widens_the_intervals_of_a_law_is_told_as_a_doubt() -> None:
 
     assert told.severity == "info"
     assert "fast and slow commands give different gains (p = 0.0001)" in told.evidence
+
+
+def test_a_law_that_was_chosen_among_all_is_not_advised_again() -> None:
+    doubt = Evidence("speed", "fast and slow commands give different gains", 1e-4, {"input": 0.1}, False)
+    tried = Candidate("first_order_delay", 3, 0.0, 0.0, None, None, "", None, None, "the baseline", True)
+    axis = well().model.axes["z"]
+
+    for status in ({}, dict.fromkeys(axis.status, "refuted")):
+        for candidates in ((), (tried,)):
+            (told,) = law_findings("z", replace(axis, evidence=(doubt,), status=status, candidates=candidates))
+            assert ("fit with --structure auto" in told.remedy) == (not candidates)
+
+
+def test_a_damping_that_hangs_on_an_open_delay_says_so() -> None:
+    axis = well().model.axes["z"]
+    ends = {**axis.ci95, "damping": (0.28, 0.34), "delay": (None, 0.2)}
+    status = {**axis.status, "damping": "not_identifiable", "delay": "not_identifiable"}
+
+    told = found(changed(well(), ci95=ends, status=status))["damping_not_identifiable", "z"]
+    assert told.evidence.endswith("0.28 to 0.34 1/s, which does not hold where that of the delay is open")
+    assert told.remedy == "fly faster changes of the command"
 
 
 def test_an_instrument_that_the_motion_answers_is_a_warning() -> None:

@@ -15,7 +15,7 @@ from rotorfit.app.cli import main
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.outlook import plan_view
 from rotorfit.core.errors import PlanError
-from rotorfit.core.flight_plan import Sines, command_at
+from rotorfit.core.flight_plan import Plan, Sines, command_at
 from rotorfit.core.frames import AXES
 from rotorfit.files.cards import load_card
 from rotorfit.files.models import save
@@ -31,6 +31,13 @@ pytestmark = pytest.mark.flights
 CARD = load_card("rotorfit-demo")
 BELIEF = belief_from_card(CARD)
 ROOM = space_of_room("6x4x3")
+
+
+def frequencies(plan: Plan, axis: str) -> tuple[float, ...]:
+    """Frequencies of an axis [rad/s]."""
+    (one,) = (each.signal for each in plan.excitations if each.axis == axis)
+    assert isinstance(one, Sines)
+    return one.frequency
 
 
 def run(*arguments: object) -> Result:
@@ -116,11 +123,26 @@ def test_an_amplitude_that_leaves_is_refused_and_the_one_offered_is_flown() -> N
     offered = float(str(refused.value).split("--amplitude ")[1].split(",")[0])
     plan = plan_flight(CARD, small, "doublets", ("x",), 12.0, BELIEF, amplitude=offered)
     assert plan.predicted["amplitude"] == {"x": offered}
+    with pytest.raises(PlanError) as refused:  # from far above it is the same, to the precision of the search
+        plan_flight(CARD, small, "doublets", ("x",), 12.0, BELIEF, amplitude=40.0)
+    assert float(str(refused.value).split("--amplitude ")[1].split(",")[0]) == pytest.approx(offered, rel=0.05)
 
 
 def test_open_loop_that_drifts_out_is_refused() -> None:
     with pytest.raises(PlanError, match="even the hover drifts out"):
         plan_flight(CARD, ROOM, "multisine", ("x",), 60.0, BELIEF, open_loop=True)
+
+
+def test_axes_that_move_each_other_fly_on_odd_multiples_or_the_plan_says_what_may_come() -> None:
+    """Tilt times thrust has the sums and differences of their frequencies: even multiples, that no axis flies."""
+    long, short = (plan_flight(CARD, ROOM, "multisine", AXES, seconds, BELIEF) for seconds in (60.0, 30.0))
+    base = 2 * np.pi / 58.0
+    used = {axis: np.rint(np.array(frequencies(long, axis)) / base).astype(int) for axis in AXES}
+
+    assert all(len(multiples) >= 4 and (multiples % 2 == 1).all() for multiples in used.values())
+    assert len(set(np.concatenate(list(used.values())))) == sum(map(len, used.values()))
+    assert not any("in so short a flight" in note for note in long.predicted["notes"])
+    assert any("in so short a flight" in note for note in short.predicted["notes"])
 
 
 def test_the_papers_sines_are_the_papers() -> None:

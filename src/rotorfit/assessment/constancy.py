@@ -104,7 +104,7 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
         f"{found.chi_square:.0f} with {found.degrees} degrees of freedom, by chance in {found.probability:.0e}",
         f"the coefficients of {axis} are a mean over what changes; their intervals are of that mean",
         f"`rotorfit track {log}`, with the card of this fit, finds when it changed, and what; then fit each part by "
-        "--span; if it raises no alarm, look for what drifts: battery, speed range, a clock",
+        "--span; if it raises no alarm, look for what varies: battery, speed range, a clock, the latency of the link",
         axis,
     )
 

@@ -31,6 +31,7 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
     if not axis.evidence:
         return
     told = "; ".join(f"{one.strength} (p = {one.p_value:.1g})" for one in axis.evidence)
+    chosen = bool(axis.candidates)  # by `auto`, which would choose it again
     refuted = [part for part, status in axis.status.items() if status == "refuted"]
     if refuted:
         stated = "its interval says" if len(refuted) == 1 else "their intervals say"
@@ -39,8 +40,9 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
             "warning",
             f"{name} does not obey {axis.structure}: {told}",
             f"{', '.join(refuted)} of {name} would differ on another flight by more than {stated}",
-            "fit with --structure auto, or fly commands of the size and speed that the model is wanted for; "
-            "predictions of like motion may still be good: see validate",
+            ("no law that --structure auto tries does better: " if chosen else "fit with --structure auto, or ")
+            + "fly commands of the size and speed that the model is wanted for; predictions of like motion may still "
+            "be good: see validate",
             name,
         )
         return
@@ -49,7 +51,8 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
         "info",
         f"{name} does not quite obey {axis.structure}: {told}",
         f"the intervals of {name} are that much wider, so that they hold for other flights of the vehicle",
-        "fit with --structure auto; flights with commands of several sizes and speeds show what is missing",
+        ("" if chosen else "fit with --structure auto; ")
+        + "flights with commands of several sizes and speeds show what is missing",
         name,
     )
 

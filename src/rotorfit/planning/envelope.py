@@ -238,7 +238,7 @@ def _guilty(axis: str, axes: Sequence[str], shares: Array) -> bool:
     return bool(max(outside[axis], speed) > ALLOWED)
 
 
-_STEPS = 12
+_STEPS, _MOST_STEPS = 12, 30
 
 
 def _second_half(progress: Progress | None) -> Progress | None:
@@ -260,7 +260,7 @@ def _largest_common(
 
     def stays(factor: float, step: int) -> bool:
         if progress:
-            progress(step / _STEPS, f"looking for the largest amplitude: {factor:.2f}")
+            progress(step / _MOST_STEPS, f"looking for the largest amplitude: {factor:.2f}")
         return trial.fits(with_amplitudes(plan, {axis: factor if axis in axes else 1.0 for axis in AXES}))
 
     if stays(upper, 0):
@@ -268,7 +268,7 @@ def _largest_common(
     if not stays(0.0, 0):
         return 0.0
     low, high = 0.0, upper
-    for step in range(1, _STEPS):
+    for step in range(1, _MOST_STEPS):
         middle = max((low + high) / 2, 0.8 * high)  # usually only little has to be taken off
         low, high = (middle, high) if stays(middle, step) else (low, middle)
         if low and high - low <= FINENESS * low:

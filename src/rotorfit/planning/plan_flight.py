@@ -365,7 +365,7 @@ def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Prog
     if min(chosen.factors.values()) <= 0:
         raise PlanError(
             f"plan {chosen.plan.name}: no amplitude stays inside for 19 of 20 vehicles that are believed possible, "
-            "even the hover drifts out; give a larger box or a shorter duration"
+            "even the hover drifts out or is too fast; give a larger box, a shorter duration or higher speed limits"
         )
     if chosen.plan.design in HARD:
         notes = [HARD_NOTE, *notes]
