@@ -3,9 +3,9 @@
     python bench/changing_flights.py          what each change leaves in the pose, and how fast such flights are made
 
 `changing_flight(seed, scenario)` flies one and returns it as read from its log. The vehicle flies a multisine on its
-axes, as from `rotorfit plan`, in open loop or with the planner's soft centring feedback on the measured pose. The seed
-determines the initial heading, the direction of the wind, the weak rotor, the initial phase of the signal, and all
-noise.
+axes, at all multiples of one cycle (`rotorfit plan` takes the odd ones), in open loop or with the planner's soft
+centring feedback on the measured pose. The seed determines the initial heading, the direction of the wind, the weak
+rotor, the initial phase of the signal, and all noise.
 
 The vehicle is one of the room's with a battery that lasts and an autopilot that does not brake at zero command. Its
 autopilot learns thrust, rotors and mass within `Scenario.learning`. Closed loops run in compiled code, which gives the

@@ -142,7 +142,8 @@ class Graph(ModuleType):
         self.callbacks: dict[str, Callable[[Any], None]] = {}
         self.running = False
 
-    def init(self) -> None:
+    def init(self, signal_handler_options: str) -> None:
+        assert signal_handler_options == "none of its own"  # Ctrl-C stays ours
         self.running = True
 
     def shutdown(self) -> None:
@@ -180,6 +181,8 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Graph:
     made = Graph()
     monkeypatch.setitem(sys.modules, "rclpy", made)
     monkeypatch.setitem(sys.modules, "rclpy.qos", SimpleNamespace(qos_profile_sensor_data=None))  # type: ignore[arg-type]
+    signals = SimpleNamespace(SignalHandlerOptions=SimpleNamespace(NO="none of its own"))
+    monkeypatch.setitem(sys.modules, "rclpy.signals", signals)  # type: ignore[arg-type]
     geometry = SimpleNamespace(Twist=twist, TwistStamped=twist_stamped, PoseStamped=pose_stamped)
     monkeypatch.setitem(sys.modules, "geometry_msgs.msg", geometry)  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "std_msgs.msg", SimpleNamespace(Empty=SimpleNamespace))  # type: ignore[arg-type]

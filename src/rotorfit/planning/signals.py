@@ -92,7 +92,7 @@ def designed(
     if not 0 < low < high:
         raise ValueError(f"the band {low:g} to {high:g} rad/s is empty")
     if design == "multisine":
-        return multisine(amplitude, duration, band, place, of)
+        return multisine(amplitude, duration, band, place, of, all_odd(duration, of))
     if design == "chirp":
         shrunk = (high / low) ** (0.1 * (place // 2))  # up, down, and the same again over a little less of the band
         ends = (low * shrunk, high / shrunk)
@@ -105,20 +105,22 @@ def designed(
     raise ValueError(f"no such design: {design!r}; designs are {', '.join(DESIGNS)}")
 
 
-def multisine(amplitude: float, duration: float, band: tuple[float, float], place: int = 0, of: int = 1) -> Sines:
+def multisine(
+    amplitude: float, duration: float, band: tuple[float, float], place: int = 0, of: int = 1, odd: bool = False
+) -> Sines:
     """Sines of equal amplitude, logarithmically spread over the band, with phases that keep the peak low.
 
     All are multiples of one cycle per `duration`. Axes flown together share no frequency, so that their effects are
-    distinguishable. Where more than two fly together for long enough, all multiples are odd: what two axes move
-    together, as tilt times thrust, has even ones only, and is no part of the answer of any axis. Phases start from
-    Schroeder's rule; then the 2 p norm of the signal is minimised for p = 2, 4, 8, 16, 32, whose limit is the peak.
+    distinguishable. If all multiples are `odd`, what two axes move together, as tilt times thrust, has even ones only,
+    and is no part of the answer of any axis. Phases start from Schroeder's rule; then the 2 p norm of the signal is
+    minimised for p = 2, 4, 8, 16, 32, whose limit is the peak.
 
     Source: M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970), pp. 85-89; P. Guillaume, J. Schoukens, R. Pintelon,
     I. Kollar, IEEE Trans. Instrum. Meas. 40 (1991), pp. 982-989; odd multiples: R. Pintelon, J. Schoukens, System
     Identification: A Frequency Domain Approach (2012), chapter 3.
     """
     first = 2 * np.pi / duration
-    every, rest = (2 * of, 2 * place + 1) if all_odd(duration, of) else (of, place)
+    every, rest = (2 * of, 2 * place + 1) if odd else (of, place)
     wanted = np.geomspace(band[0], band[1], LINES) / first
     harmonic = np.unique(np.maximum(np.rint((wanted - rest) / every), 0) * every + rest)
     harmonic = harmonic[harmonic > 0]
@@ -129,7 +131,7 @@ def multisine(amplitude: float, duration: float, band: tuple[float, float], plac
 
 
 def all_odd(duration: float, of: int) -> bool:
-    """Whether the sines of axes flown together for a duration [s] are odd multiples alone; see `multisine`."""
+    """Whether axes flown together for a duration [s] fly odd multiples: more than two, where enough fit the band."""
     return of > 2 and 2 * of * 2 * np.pi / duration < SPARSE
 
 
