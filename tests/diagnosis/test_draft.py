@@ -413,6 +413,14 @@ def test_a_draft_turns_three_commands_where_ned_would_put_the_vehicle_below_the_
     assert "y, z, yaw are turned together: forward, right, down?" in text
 
 
+def test_a_draft_asks_whether_a_vehicle_below_the_floor_is_one_whose_z_points_down(tmp_path: Path) -> None:
+    """In forward, right, down all commands fit their pose, too: only the height tells."""
+    _, text = drafted(as_ned(raised(1.0)), OVERTURNED, tmp_path)
+
+    assert 'EDIT: z is below 0; if it points down: "NED", and scale = -1 for y, z, yaw' in text
+    assert "EDIT: z is below 0" not in drafted(raised(1.0), COMMAND, tmp_path)[1]
+
+
 @pytest.mark.parametrize(
     ("spoil", "axis", "channel"),
     [

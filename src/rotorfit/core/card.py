@@ -22,7 +22,7 @@ class Channel:
         meaning: For commands: `tilt`, `velocity`, `vertical_speed` or `yaw_rate`; None where the card does not say.
         full_scale: For commands: the limit (a key of `Card.limits`) that the value is a fraction of.
         others: Alternatives in other versions of the same format, in order of preference; the first channel that the
-            log holds is read, see `card_columns.card_for`.
+            log holds is read, see `columns.card_for`.
     """
 
     source: str | float

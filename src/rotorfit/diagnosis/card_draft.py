@@ -238,6 +238,8 @@ def draft_card(log: Log, fresh: bool = False) -> str:
         return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
     if turned := ", ".join(overturned(told.of, asked.height)):
         found = replace(found, pose_remark=f"as z is above 0; {turned} are turned together: forward, right, down?")
+    elif asked.height < 0 and found.pose_frame == "ENU":
+        found = replace(found, pose_remark='EDIT: z is below 0; if it points down: "NED", and scale = -1 for y, z, yaw')
     moved, said = _by_motion(found.commands, told)
     found = _in_metres(replace(found, commands=moved, frame=told.frame or "heading"), asked.motion)
     sure = all(answer.axis for answer in told.of.values())

@@ -44,7 +44,7 @@ def _gamma(name: str) -> tuple[float, ...]:
     return next(cast("tuple[float, ...]", known.gamma) for known in PUBLISHED if known.name == name)
 
 
-GAMMA_PAPER, GAMMA_A, GAMMA_B, GAMMA_C, GAMMA_E, GAMMA_F = (_gamma(name) for name in ("paper", "A", "B", "C", "E", "F"))
+GAMMA_A, GAMMA_B, GAMMA_C, GAMMA_E, GAMMA_F = (_gamma(name) for name in "ABCEF")
 
 STABLE = {"A": GAMMA_A, "B": GAMMA_B, "E": GAMMA_E, "F": GAMMA_F, "C": (*GAMMA_C[:7], GAMMA_B[7])}
 """Published vehicles with four stable axes; C's yaw is unstable as published and gets the damping of B."""

@@ -38,7 +38,8 @@ def ladder_view(ladder: Ladder) -> View:
         yield from bullets([f"{row.method}: {row.remark}" for row in rows if row.remark])
     yield Text(
         "+-: standard error; 1 s: RMSE of 1 s velocity predictions on these very flights [cm/s, yaw deg/s], hold keeps "
-        "the velocity; against ml: coefficients that differ from the likelihood's at 1 %.",
+        "the velocity; against ml: coefficients that differ from the likelihood's at 1 %. All rows fit the law with a "
+        "delay alone; `rotorfit fit` weighs laws with a lag, too.",
         style="dim",
     )
 
@@ -58,7 +59,10 @@ def _verdict(row: MethodRow, best: str) -> str:
     if not row.agreement:
         return "" if row.method == best else f"no number of {best}"
     differing = [name for name, test in row.agreement.items() if not test.agrees]
-    return f"differs: {', '.join(differing)}" if differing else "agrees"
+    if differing:
+        return f"differs: {', '.join(differing)}"
+    compared = [name for name in COEFFICIENTS if name in row.agreement]
+    return "agrees" if len(compared) == len(COEFFICIENTS) else f"agrees: {', '.join(compared)}"
 
 
 _AT_ONCE = 4  # horizons beside each other in 80 columns
