@@ -336,6 +336,20 @@ def test_nobody_there_is_one_line(bench: Bench) -> None:
     assert not bench.wire.open
 
 
+def test_a_line_that_breaks_while_greeting_is_closed(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`track` tries again every second: a port that stays open would stay locked."""
+
+    def gone(*_: object, **__: object) -> None:
+        raise OSError("refused")
+
+    bench.autopilot.deaf = True
+    bench.wire.incoming.append(None)
+    monkeypatch.setattr(bench.wire, "recv_msg", gone)
+    with pytest.raises(LinkError, match="the link is lost"):
+        bench.link.greet("tcp:127.0.0.1:7")
+    assert not bench.wire.open
+
+
 def test_poses_come_back_in_our_frame_on_our_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, mode="flying")
     bench.link.greet()

@@ -118,7 +118,8 @@ def _frequencies(signal: Signal) -> str:
     if isinstance(signal, Sines | Chirp):
         return f"{min(signal.frequency):.2f} to {max(signal.frequency):.2f} rad/s"
     gaps = [b - a for a, b in zip(signal.time, signal.time[1:], strict=False)]
-    return f"{min(gaps):.2g} to {max(gaps):.2g} s each" if gaps else ""
+    least, most = (f"{length:.2g}" for length in (min(gaps, default=0.0), max(gaps, default=0.0)))
+    return (f"{most} s each" if least == most else f"{least} to {most} s each") if gaps else ""
 
 
 def _motion(plan: Plan) -> Table:
