@@ -1,6 +1,7 @@
 """The empirical frequency response: known truth under each law, in open and closed loop; bands counted."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -283,6 +284,24 @@ def test_a_model_beside_a_flight_of_another_law_is_a_finding_and_a_table() -> No
     gain, delay = response_charts([axes])
     assert (gain.kind, delay.kind) == ("response_gain", "response_delay")
     assert {"measured", "band", "model"} <= {line.role for line in gain.lines}
+
+
+def test_a_law_that_holds_with_other_numbers_than_the_models_says_so() -> None:
+    """The test is of the law: without these words it reads as praise of a model whose delay is wrong throughout."""
+    truth = Truth()
+    flight = flown(truth, many_sines(60.0), 60.0, seed=1007)
+    points = {axis: tuple(truth_of(truth, axis).values()) for axis in AXES}
+    g, b, tau = points["z"]
+    (axes,) = response_test(model_of({**points, "z": (g, b, tau + 0.05)}), [flight])  # type: ignore[dict-item]
+
+    found = re.search(
+        r"consistent with the law at other coefficients, as the model misses a band at (\d+) of (\d+) \(p = ",
+        response_line(axes["z"]),
+    )
+    assert found
+    assert int(found[1]) > 0.8 * int(found[2])
+    (right,) = response_test(model_of(points), [flight])  # type: ignore[arg-type]
+    assert ": consistent with the law (p = " in response_line(right["z"])
 
 
 def test_a_model_that_is_right_lies_in_the_bands_and_its_own_band_is_around_it() -> None:
