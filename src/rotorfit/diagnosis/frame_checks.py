@@ -274,6 +274,7 @@ def _offset(card: Card, own: Directions, told: str, angle: float, yaw: float, tu
     if abs(abs(angle) - np.pi / 2) < NEAR:
         turned = f", that of {'y' if angle > 0 else 'x'} with its scale turned" if len(own.angle) == 2 else ""
         ways.append(f"or exchange the columns of x and y in [command]{turned}, if only those are wrong")
+        ways.append("where others may be wrong, too, `rotorfit info LOG --draft-card NEW.toml --fresh` finds them")
     return Finding(
         "yaw_offset",
         "error" if abs(angle) > np.pi / 4 else "warning",
