@@ -184,8 +184,8 @@ def _address(host: str) -> str:
     """
     try:
         return socket.gethostbyname(host)
-    except OSError as error:
-        raise LinkError(f"tello: no host {host} ({error.strerror}); join its network") from error
+    except (OSError, UnicodeError) as error:
+        raise LinkError(f"tello: no host {host} ({error}); join its network") from error
 
 
 def tello_commands(card: Card) -> CommandFields:
