@@ -31,7 +31,7 @@ from test_sources import (
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Log
-from rotorfit.files.logs import compression, read
+from rotorfit.files.logs import compression, mat73, read
 
 pytestmark = pytest.mark.flights
 
@@ -295,6 +295,14 @@ def test_links_out_of_an_hdf5_file_are_not_followed(tmp_path: Path) -> None:
 
     assert not {"stolen", "peeked"} & set(log.tables["log"].columns)
     assert "stolen" in log.notes[0]
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the size of the process is not known here")
+def test_descriptions_in_a_mat73_file_have_bounded_memory() -> None:
+    """The library allocates what they claim: a mutated file of 24 kB took 24 GB. What comes after is not bounded."""
+    with mat73._bounded(), pytest.raises(MemoryError):
+        bytearray(2 * mat73.DESCRIPTIONS)
+    assert len(bytearray(2 * mat73.DESCRIPTIONS)) == 2 * mat73.DESCRIPTIONS
 
 
 def test_mat73_without_h5py_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -105,8 +105,8 @@ def _flight_view(flight: "FlightSurvey") -> View:
     yield indented(f"stale poses: {100 * flight.stale_share:.1f} %; the fresh ones come at {fresh}")
     stamped = " as stamped" if any(note.code == "clocks" for note in flight.notes) else ""  # before they were moved
     yield indented(
-        f"clocks{stamped}: the poses start {_later(clocks.start_offset)} the commands and end {_later(clocks.end_offset)} them; "
-        f"{clocks.overlap:.2f} s in common"
+        f"clocks{stamped}: the poses start {_later(clocks.start_offset)} the commands and end "
+        f"{_later(clocks.end_offset)} them; {clocks.overlap:.2f} s in common"
     )
     for name, drift in flight.recorder.items():
         yield indented(

@@ -5,6 +5,7 @@ HDF5 stores MATLAB's column-major arrays by rows: they arrive transposed and are
 
 import os
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from itertools import count
 from math import prod
 from pathlib import Path
@@ -33,6 +34,9 @@ _CLASSES = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 
 _DEEPEST = 16
 
+DESCRIPTIONS = 1 << 28
+"""Memory that the descriptions of one group may take [bytes]."""
+
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
     """Whether HDF5 begins, at the start or after MATLAB's header."""
@@ -53,9 +57,11 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     columns: dict[str, Column] = {}
     others: list[str] = []
     try:
-        with h5py.File(path, "r") as file:
+        with _bounded():
+            opened = h5py.File(path, "r")
+        with opened as file:
             _gather(file, "", columns, others, 0, count(1))
-    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:
         raise LogError(f"{path}: damaged HDF5 ({one_line(error)}); copy the file again") from error
     if not columns:
         raise LogError(f"{path}: no array of numbers in the file; save the signals as plain arrays")
@@ -93,21 +99,55 @@ def _gather(
     """Adds the arrays of a group and its structures to the columns; an array may be linked many times."""
     import h5py
 
-    for label in group:
-        check_width(Path(group.file.filename), next(seen))
+    with _bounded():
+        members = list(_members(group, seen))
+    for label, item, numeric in members:
         name = f"{prefix}{label}"
-        if label.startswith("#"):  # MATLAB's own store of cells and objects
-            continue
-        # Links to other files or places are not followed: a log must not read files beside it.
-        plain = isinstance(group.get(label, getlink=True), h5py.HardLink)
-        item = group[label] if plain else None
         if isinstance(item, h5py.Group) and depth < _DEEPEST:
             _gather(item, f"{name}.", columns, others, depth + 1, seen)
-        elif isinstance(item, h5py.Dataset) and _is_numeric(item):
+        elif numeric:
             columns[name] = _array(item)
             check_size(Path(item.file.filename), columns.values())
         else:
             others.append(name)
+
+
+def _members(group: Any, seen: Iterator[int]) -> Iterator[tuple[str, Any, bool]]:
+    """Name, item and whether it is a numeric array of each member; no item for a link.
+
+    Links to other files or places are not followed: a log must not read files beside it.
+    """
+    import h5py
+
+    for label in group:
+        check_width(Path(group.file.filename), next(seen))
+        if not label.startswith("#"):  # MATLAB's own store of cells and objects
+            plain = isinstance(group.get(label, getlink=True), h5py.HardLink)
+            item = group[label] if plain else None
+            yield label, item, isinstance(item, h5py.Dataset) and _is_numeric(item)
+
+
+@contextmanager
+def _bounded() -> Iterator[None]:
+    """Bounds what HDF5 may allocate for descriptions: it takes what a damaged file claims, of one of 24 kB all memory.
+
+    On Linux only, where the size of the process is known.
+    """
+    sizes = Path("/proc/self/statm")
+    if not sizes.exists():
+        yield
+        return
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    most = int(sizes.read_text().split()[0]) * resource.getpagesize() + DESCRIPTIONS
+    if before[0] != resource.RLIM_INFINITY:
+        most = min(most, before[0])
+    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def _is_numeric(item: Any) -> bool:
