@@ -81,6 +81,14 @@ def test_a_time_whose_interval_begins_near_zero_is_told_and_a_gain_of_such_a_rat
     assert "but total lag 0.15 (0.01 to 0.3) is." in found
 
 
+def test_a_time_known_to_no_better_than_itself_is_not_told() -> None:
+    parts = {"steady_gain": Combination(0.97, (0.95, 1.0)), "total_lag": Combination(5.8, (-3.2, 14.6))}
+
+    found = summary_of_model(model({"z": axis(parts, damping="not_identifiable")}), axes=("z",))
+
+    assert "total lag" not in found
+
+
 @pytest.mark.parametrize(
     ("status", "words"), [("too_short", "the flights are too short for x"), ("diverged", "x did not converge")]
 )

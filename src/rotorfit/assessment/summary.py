@@ -75,9 +75,11 @@ def _partly_known(axis: str, known: Axis) -> str:
 
 
 def _told(name: str, part: Combination) -> bool:
-    """Whether the interval is closed and, unless it is a time, no wider than that of a gain may be."""
+    """Whether the interval is closed and narrow: of a time, less than twice its value; else as that of a gain."""
     low, high = part.ci95
-    return low is not None and high is not None and (name in _TIMES or not 0 < WIDEST_INPUT * low < high)
+    if low is None or high is None or part.value is None:
+        return False
+    return high - low < 2 * abs(part.value) if name in _TIMES else not 0 < WIDEST_INPUT * low < high
 
 
 def _range(part: Combination) -> str:

@@ -199,7 +199,10 @@ def _rehearsed(plan: Plan, limits: Limits) -> list[Check]:
     ):
         watch = replace(watch, pose=tuple(pose), velocity=tuple(velocity), received=time, heard=time)
         if (verdict := judged(watch, limits, time, 0.0, 0.0)) is not None:
-            text = f"the likeliest vehicle would be stopped after {time / 1e9:.1f} s by {verdict.text}; plan it again"
+            text = (
+                f"the likeliest vehicle would be stopped after {time / 1e9:.1f} s by {verdict.text}; "
+                "plan it again with a lower --speed or --amplitude"
+            )
             return [Check("plan", False, text)]
     return [Check("plan", True, "the likeliest vehicle stays inside, braking distance included")]
 
