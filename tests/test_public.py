@@ -328,9 +328,14 @@ def test_numbers_that_nothing_has_are_one_line(room: Room) -> None:
 
 
 def test_a_result_in_a_folder_that_is_not_there_is_one_line(room: Room, tmp_path: Path) -> None:
-    for write in (rf.save, lambda fit, path: rf.export(fit, "numpy", path)):
+    place = tmp_path / "not there"
+    for write in (
+        lambda: rf.save(room.fit, place / "model.json"),
+        lambda: rf.export(room.fit, "numpy", place / "vehicle.py"),
+        lambda: rf.tune(room.fit, path=place / "gains.toml"),
+    ):
         with pytest.raises(rf.RotorfitError, match=r"there is no folder .*; make it first"):
-            write(room.fit, tmp_path / "not there" / "x.py")
+            write()
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,14 @@ def test_draws_have_the_covariance_of_the_model() -> None:
     np.testing.assert_allclose(np.cov(drawn.T), model.covariance[np.ix_(there, there)], rtol=0.15)
 
 
+def test_a_model_without_a_covariance_is_not_taken_as_exactly_known() -> None:
+    """As those that were fitted to one axis of a vehicle that turns."""
+    model = replace(model_of(), covariance_names=(), covariance=np.empty((0, 0)))
+
+    with pytest.raises(ModelError, match="no covariance of x, so no margin can be stated"):
+        believed_possible(model, "x", 40, 3)
+
+
 def test_a_delay_that_nobody_knows_is_that_of_commercial_quadrotors() -> None:
     drawn = np.array(believed_possible(without_delays(model_of()), "x", 2000, 0))
 

@@ -271,7 +271,19 @@ def _accelerations(model: Model, flight: Flight) -> dict[str, Array]:
 
 
 def _acting(flight: Flight, time: Array, k: int, point: Predictor | None) -> Array:
-    """The command that acts on an axis at each time: delayed, and smoothed by a lag from rest in each segment."""
+    """The command that acts on axis k at some times, delayed, and smoothed by a lag from rest in each segment.
+
+    Args:
+        flight: The flight.
+        time: Shape (N,) [s].
+        k: Index of the axis.
+        point: Its predictor; None for an axis without one, which gets zeros.
+
+    Returns:
+        Shape (N,) [unit of the command]; NaN outside the segments.
+
+    Source: T q' = u(t - delay) - q, solved exactly from one command to the next.
+    """
     if point is None:
         return np.zeros(time.size)
     held, lag = _held(flight, time - point.delay, k), point.extra.get("lag", 0.0)

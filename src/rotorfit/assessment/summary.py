@@ -77,7 +77,7 @@ def _partly_known(axis: str, known: Axis) -> str:
 def _told(name: str, part: Combination) -> bool:
     """Whether the interval is closed and narrow: of a time, less than twice its value; else as that of a gain."""
     low, high = part.ci95
-    if low is None or high is None or part.value is None:
+    if low is None or high is None:
         return False
     return high - low < 2 * abs(part.value) if name in _TIMES else not 0 < WIDEST_INPUT * low < high
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from rotorfit.control.control_law import AxisLaw
 from rotorfit.control.margins import frequencies, law_response, spectral_radius, vehicle_response
+from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
 from rotorfit.core.model import COEFFICIENTS, Model, first_order
 from rotorfit.planning.axis_information import AxisBelief
@@ -81,14 +82,15 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Ax
         seed: Seed of the draws.
 
     Raises:
-        ModelError: The axis was not excited.
+        ModelError: The axis was not excited, or the model does not say how well it is known.
     """
     rng = np.random.default_rng(seed)
     law = first_order(model, axis)
+    if not law.stderr:
+        raise ModelError(f"the model has no covariance of {axis}, so no margin can be stated: fit its flights again")
     values = np.tile([law.predictor.input, law.predictor.damping, law.predictor.delay], (count, 1))
     at = [COEFFICIENTS.index(name) for name in law.stderr]
-    if at:
-        values[:, at] += rng.multivariate_normal(np.zeros(len(at)), law.covariance, count)
+    values[:, at] += rng.multivariate_normal(np.zeros(len(at)), law.covariance, count)
     if "delay" not in law.stderr:
         values[:, 2] = rng.normal(*DELAY, count)
     values[:, 2] = np.maximum(values[:, 2], 0.0)

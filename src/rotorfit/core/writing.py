@@ -42,11 +42,16 @@ def write_result(path: str | Path, content: str | bytes) -> Path | None:
         LogError: Its folder is missing.
         OSError: As `write_whole`.
     """
-    _check_folder(Path(path))
+    check_folder(Path(path))
     return write_whole(path, content)
 
 
-def _check_folder(path: Path) -> None:
+def check_folder(path: Path) -> None:
+    """Refuses a path whose folder is missing.
+
+    Raises:
+        LogError: There is no such folder.
+    """
     if not path.resolve().parent.is_dir():
         raise LogError(f"{path}: there is no folder {path.parent}; make it first")
 
@@ -57,7 +62,7 @@ def check_place(path: Path) -> None:
     Raises:
         LogError: Its folder is missing, or takes no file.
     """
-    _check_folder(path)
+    check_folder(path)
     try:
         with TemporaryFile(dir=path.resolve().parent):
             pass

@@ -13,7 +13,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.limits import CommandMeaning, command_of
 from rotorfit.core.model import Model
 from rotorfit.core.plain import check_finite, plain_toml, shown
-from rotorfit.core.writing import write_whole
+from rotorfit.core.writing import check_folder, write_whole
 from rotorfit.files.mistaken import mistaken
 from rotorfit.version import __version__
 
@@ -141,7 +141,9 @@ def save_gains(tuning: Tuning, model: Model, path: str | Path) -> Path | None:
 
     Raises:
         ModelError: The name has another suffix.
+        LogError: Its folder is missing.
     """
+    check_folder(Path(path))
     return write_gains(tuning_mapping(tuning, model), path)
 
 

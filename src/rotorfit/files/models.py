@@ -32,6 +32,7 @@ def save(model: Model, path: str | Path) -> Path | None:
     """Writes a model file (JSON, without NaN) and returns the path where a replaced file is kept, or None.
 
     Raises:
+        LogError: Its folder is missing.
         OSError: The file cannot be written.
     """
     return write_result(path, json.dumps(to_mapping(model), indent=1, allow_nan=False) + "\n")

@@ -81,6 +81,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path | None:
     """Writes a plan file and returns the path where a replaced file is kept, or None.
 
     Raises:
+        LogError: Its folder is missing.
         OSError: The file cannot be written.
     """
     return write_result(path, plan_text(plan))

@@ -131,7 +131,7 @@ def _members(group: Any, seen: Iterator[int]) -> Iterator[tuple[str, Any, bool]]
 def _bounded() -> Iterator[None]:
     """Bounds what HDF5 may allocate for descriptions: it takes what a damaged file claims, of one of 24 kB all memory.
 
-    On Linux only, where the size of the process is known.
+    On Linux only, where the size of the process is known. The bound is the process's, for the milliseconds of a group.
     """
     sizes = Path("/proc/self/statm")
     if not sizes.exists():
