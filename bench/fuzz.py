@@ -562,16 +562,17 @@ def main() -> None:
     counts: Counter[str] = Counter(json.loads(totals.read_text()) if totals.is_file() else {})
     heads = ("kind", "inputs", "a second", "refused", "ways to end", "finds", "peak [MB]", "inputs so far")
     form = "{:15} {:>10} {:>9} {:>8} {:>12} {:>6} {:>10} {:>14}"
-    rows, wrong = [], 0.0
+    wrong = 0.0
+    print(form.format(*heads), flush=True)
     for name in options.kinds or known:
         row = row_of(name, options)
         counts[name] += int(row["inputs"])
         wrong += row["finds"]
         share = row["refused"] / max(1, row["inputs"])
         told = (name, int(row["inputs"]), f"{row['inputs'] / row['seconds']:.0f}", f"{share:.0%}", int(row["ways"]))
-        rows.append(form.format(*told, int(row["finds"]), f"{row['peak']:.0f}", counts[name]))
+        print(form.format(*told, int(row["finds"]), f"{row['peak']:.0f}", counts[name]), flush=True)
         totals.write_text(json.dumps(counts))
-    print("\n".join([form.format(*heads), *rows, f"{counts.total()} inputs so far, {wrong:.0f} finds in this run"]))
+    print(f"{counts.total()} inputs so far, {wrong:.0f} finds in this run")
     sys.exit(wrong > 0)
 
 
