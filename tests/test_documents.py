@@ -245,6 +245,7 @@ def test_every_status_that_a_coefficient_can_have_is_in_the_documents() -> None:
     assert sorted(statuses) == [
         "diverged",
         "not_excited",
+        "not_fitted",
         "not_identifiable",
         "ok",
         "pose_frozen",

@@ -72,14 +72,28 @@ def test_the_observer_finds_a_steady_push_and_the_command_answers_it() -> None:
 def test_commands_stay_within_full_scale_and_are_counted() -> None:
     controller, steering = controller_for("linearising", 3.0), at_rest(np.zeros(4))
     steering = observe(controller, steering, PERIOD, np.array([5.0, 0.0, 0.0, 0.0]), HOVER)
-    before = steering.error[2, 0]
     steering, command = commanded(controller, steering, PERIOD, HOVER)
 
     assert command[0] == -1.0
     assert steering.saturated == 1
     assert steering.bounded.tolist() == [True, False, False, False]
-    steering = observe(controller, steering, 2 * PERIOD, np.array([5.0, 0.0, 0.0, 0.0]), HOVER)
-    assert steering.error[2, 0] == before, "the integral waits while nothing more can be asked"
+
+
+@pytest.mark.parametrize("heading", [0.0, np.pi / 4, np.pi / 2, -2.0])
+def test_the_integral_waits_along_the_axis_of_which_nothing_more_can_be_asked(heading: float) -> None:
+    controller = controller_for("linearising", 3.0)
+    ahead, aside = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+    there = np.array([*(5.0 * ahead + 0.02 * aside), 0.0, heading])
+    hover = ReferencePath("steps", 1.0, 1.0, centre=(0.0, 0.0, 0.0, heading))
+    steering = observe(controller, at_rest(np.array([0.0, 0.0, 0.0, heading])), PERIOD, there, hover)
+    steering, command = commanded(controller, steering, PERIOD, hover)
+    before = steering.error[2, :2]
+    assert command[0] == -1.0
+    assert abs(command[1]) < 1.0
+    gained = observe(controller, steering, 2 * PERIOD, there, hover).error[2, :2] - before
+
+    assert ahead @ gained == pytest.approx(0.0, abs=1e-12)
+    assert aside @ gained == pytest.approx(-0.02 * PERIOD)
 
 
 def test_an_old_pose_is_left_out_and_the_heading_is_unwrapped() -> None:

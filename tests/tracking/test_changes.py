@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorfit.core.limits import GRAVITY
-from rotorfit.tracking.changes import at_once, contrast, in_any_air, likeliest, looked_for, looks, pushes
+from rotorfit.tracking.changes import Contrast, at_once, contrast, in_any_air, likeliest, looked_together, looks, pushes
 from rotorfit.tracking.following import SHORT
 from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.refits import refitted
@@ -25,9 +25,14 @@ def scores() -> Scores:
     return scores_of([(list(followed.estimates.items()), {})])[0]
 
 
+def looked_at(scores: Scores) -> list[Contrast]:
+    """The contrasts of a look at one likelihood."""
+    return looked_together([scores])[0][scores.names]
+
+
 def least(scores: Scores) -> float:
     """The smallest p-value of a look, times how many were looked at."""
-    return min((one.p_value for one in looked_for(scores)), default=1.0) * looks(scores)
+    return min((one.p_value for one in looked_at(scores)), default=1.0) * looks(scores)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5])
@@ -49,8 +54,8 @@ def test_coefficients_that_move_are_found_with_their_sign_and_their_time(scores:
     innovation = np.random.default_rng(3).standard_normal(scores.time.size)
     innovation[scores.time >= begun] -= scores.tested[scores.time >= begun, moved]  # by 0.3 of the logarithm, downwards
     changed = replace(scores, innovation=innovation)
-    first = min(looked_for(changed), key=lambda one: one.p_value)
-    best = likeliest(changed, first, looked_for(changed))
+    first = min(looked_at(changed), key=lambda one: one.p_value)
+    best = likeliest(changed, first, looked_at(changed))
     _, (low, high) = changed_when(changed, begun - 3.0)
 
     assert first.p_value * looks(changed) < 1e-6
@@ -73,7 +78,7 @@ def test_a_push_is_as_rare_as_under_the_strengths_that_the_air_allows(scores: Sc
         return in_any_air(scores.names, [[replace(each, air=air)] for each in under], SHORT)
 
     calm, doubtful, strong = (average(-np.abs(np.arange(8) - k) * by) for k, by in ((0, 50.0), (0, 1.0), (7, 50.0)))
-    one = next(each for each in looked_for(pushed) if pushes(scores.names, each))
+    one = next(each for each in looked_at(pushed) if pushes(scores.names, each))
     assert calm < 1e-6 * doubtful < 1e-6 * strong
     assert pushes(scores.names, one)
     assert not pushes(scores.names, replace(one, shift=np.where(np.arange(one.shift.size) == trim, 0.0, 1.0)))
@@ -84,7 +89,7 @@ def test_a_gap_in_the_poses_a_moment_ago_is_no_jolt(scores: Scores) -> None:
     kept = (scores.time < now - 4.0) | (scores.time > now - 0.5)
     part = {name: getattr(scores, name)[kept] for name in ("time", "innovation", "tested", "free", "jolts", "density")}
 
-    assert looked_for(replace(scores, **part)) == []
+    assert looked_at(replace(scores, **part)) == []
 
 
 def test_a_wrong_pose_that_came_last_is_no_jolt(scores: Scores) -> None:
@@ -93,7 +98,7 @@ def test_a_wrong_pose_that_came_last_is_no_jolt(scores: Scores) -> None:
     def surest(blocks: int) -> float:
         off = 15.0 * (np.arange(innovation.size)[::-1] < blocks)
         return min(
-            (one.p_value for one in looked_for(replace(scores, innovation=innovation + off)) if one.jolt), default=1.0
+            (one.p_value for one in looked_at(replace(scores, innovation=innovation + off)) if one.jolt), default=1.0
         )
 
     assert surest(1) == 1.0
@@ -109,7 +114,7 @@ def test_an_axis_that_stays_tells_of_it_by_no_more_than_chance(scores: Scores) -
         assert change is not None
         near, far = (replace(change, since=change.since + late, jolt=True) for late in (0.1, 0.3))
         stands_out = replace(far, statistic=1e3, p_value=1e-9)
-        same = at_once(noise, [stands_out, near, *looked_for(noise)], change)
+        same = at_once(noise, [stands_out, near, *looked_at(noise)], change)
         assert same is not None
         assert (same.since, same.statistic, same.jolt) == (change.since, change.statistic, False)
         assert at_once(noise, [stands_out, near], replace(change, jolt=True)) is near
@@ -154,3 +159,34 @@ def test_wind_that_rises_is_no_changed_vehicle() -> None:
 
 def test_a_vehicle_that_brakes_where_its_pilot_lets_go_is_no_changed_vehicle() -> None:
     assert of_a_pilot(700_000, 20.0) == ()
+
+
+def test_a_delay_that_axes_share_is_found_where_each_answers_in_a_few_seconds_only(scores: Scores) -> None:
+    def answering(axis: str, seconds: set[int]) -> Scores:
+        heard = np.isin(np.floor(scores.time), list(seconds)) | (scores.time > now - 4.0)
+        return replace(
+            scores,
+            names=tuple(name.replace("z.", f"{axis}.") for name in scores.names),
+            tested=scores.tested * heard[:, None],
+            jolts=scores.jolts[:, :0],
+        )
+
+    def rarest(late: float, count: int) -> list[tuple[float, float]]:
+        """Smallest p-values of a look at both axes, and at each alone, with a step of the delay 4 s before the end."""
+        rng, least = np.random.default_rng(11), []
+        for _ in range(count):
+            each = []
+            for one in axes:
+                step = one.tested[:, one.names.index(f"{one.names[0].split('.')[0]}.delay")] * (one.time > now - 4.0)
+                each.append(replace(one, innovation=rng.standard_normal(one.time.size) + late * step))
+            both = looked_together(each, (4.0,))[0].values()
+            alone = [looked_together([one], (4.0,))[0][one.names] for one in each]
+            least.append(tuple(min((one.p_value for look in of for one in look), default=1.0) for of in (both, alone)))
+        return least
+
+    now = float(scores.time[-1])
+    axes = [answering("z", {3, 9, 14, 15, 21}), answering("yaw", {5, 6, 11, 17, 23})]
+    nothing, later = rarest(0.0, 100), rarest(3.0, 20)
+
+    assert sum(together < 0.01 for together, _ in nothing) <= 4
+    assert np.median([together for together, _ in later]) < 0.01 * np.median([alone for _, alone in later])

@@ -1,9 +1,12 @@
 """A recorded flight as if live: what is told when, that it holds, and that the end is what the whole flight tells."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from flights import STILL, flown, steps, truth_of
+from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.estimation.fitting import fit
 from rotorfit.tracking.replayed import growing, tracked, until
@@ -88,3 +91,16 @@ def test_an_axis_is_watched_from_the_first_test_that_could_raise_an_alarm_about_
     assert watched["yaw"] is None  # no command moves it
     assert all(12.0 < watched[axis] < 20.0 for axis in ("x", "y", "z"))
     assert all(one.axes["x"].watched is None for one in track.states if one.time < watched["x"])
+
+
+def test_a_pose_that_jumps_is_told_and_no_motion_leads_across() -> None:
+    whole, undisturbed = known()
+    flight = until(whole, 14.0)
+    late = flight.pose_time > 10.0
+    track = tracked(replace(flight, position=flight.position + late[:, None] * [1.0, 0.0, 0.0]), LAW)
+    told = [(alarm.cause, alarm.axes, alarm.since) for state in track.states for alarm in state.alarms]
+
+    assert [(cause, axes) for cause, axes, _ in told] == [("pose_jumped", AXES)]
+    assert told[0][2][0] <= 10.0 <= told[0][2][1]
+    before = next(state for state in undisturbed.states if state.time == 14.0)
+    assert track.states[-1].axes["x"].values["input"] == pytest.approx(before.axes["x"].values["input"], rel=0.1)

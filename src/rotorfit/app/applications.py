@@ -50,7 +50,10 @@ def simulate(
     pose: npt.ArrayLike | None = None,
     velocity: npt.ArrayLike | None = None,
 ) -> Trajectory:
-    """Simulates the motion under held commands from a given state; axes without numbers keep their velocity.
+    """Simulates the motion under held commands from a given state.
+
+    An axis whose coefficients are not all known moves by the likelihood's point, as in an export with `predictor=True`;
+    one without such a point keeps its velocity.
 
     Args:
         model: A model, a fit, or a model file.

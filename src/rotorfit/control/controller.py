@@ -184,7 +184,7 @@ class Steering:
         error: Reference minus pose at that stamp, its filtered rate and its integral, world, shape (3, 4).
         sent: Times at which the last `MEMORY` commands were sent, the latest last, shape (MEMORY,) [s].
         command: Those commands, heading frame, shape (MEMORY, 4).
-        bounded: Whether full scale bounded the last command of each axis, shape (4,).
+        bounded: Whether full scale bounded the last command of each axis, heading frame, shape (4,).
         saturated: Number of commands so far that full scale bounded on some axis.
     """
 
@@ -319,9 +319,14 @@ def _learn(state, error, pose, missing, since, bounded, numbers):  # type: ignor
         state[i, 1] += s * x + c * y
         for a in range(2, 4):
             state[i, a] += numbers[a, OBSERVER + i] * off[a]
+    x = 0.0 if bounded[0] else since * _along(missing, pose[3], 0)
+    y = 0.0 if bounded[1] else since * _along(missing, pose[3], 1)
+    error[2, 0] += c * x - s * y
+    error[2, 1] += s * x + c * y
     for a in range(4):
         error[1, a] += (missing[a] - error[0, a] - since * error[1, a]) / (numbers[a, FILTER_TIME] + since)
-        error[2, a] += 0.0 if bounded[a] else since * missing[a]
+        if a >= 2 and not bounded[a]:
+            error[2, a] += since * missing[a]
         error[0, a] = missing[a]
 
 

@@ -250,8 +250,8 @@ class Axis:
         delay: tau [s].
         stderr: Coefficient name to standard error.
         ci95: Coefficient name to 95 % interval for the vehicle; an open end is None.
-        status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `refuted`, `diverged`, `too_short` or
-            `pose_frozen`.
+        status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `refuted`, `diverged`, `too_short`,
+            `pose_frozen` or `not_fitted`.
         trim: Constant acceleration in the heading frame, one per flight [m/s^2, yaw rad/s^2]; None where a flight was
             not used for this axis.
         noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance;

@@ -242,11 +242,13 @@ def _found(
 def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Found) -> Model:
     """The model of the results; axes that were not requested or not commanded are unknown in it."""
     names, matrix = block_diagonal(found.covariance)
+    commanded = {axis for axis in AXES for flight in flights if commands_axis(flight, axis)}
+    left_out = {axis: unknown_axis("not_fitted" if axis in commanded else "not_excited") for axis in AXES}
     return Model(
         card=flights[0].card,
         structure=_common_structure(found.axes),
         method=method,
-        axes={axis: found.axes.get(axis, unknown_axis("not_excited")) for axis in AXES},
+        axes={**left_out, **found.axes},
         covariance_names=names,
         covariance=matrix,
         paper=tuple(float(g) if np.isfinite(g) else None for g in paper.gamma),

@@ -227,8 +227,8 @@ def _silent(plan: Plan, link: Link) -> list[Check]:
         f"rest {far.sideways:.1f} m sideways and {far.upright:.1f} m up or down from there, "
         + (f"{far.outside:.1f} m outside of the box (at {far.instant:.1f} s)" if far.outside else "inside of the box")
     )
-    if parameter and far.outside:
-        text += f"; {parameter} of the autopilot shortens it"
+    if far.outside:
+        text += f"; {parameter} of the autopilot shortens it" if parameter else "; keep that room free"
     return [Check("commands", ok, text if ok else f"{text}, or give a smaller --amplitude or a larger box")]
 
 

@@ -72,7 +72,7 @@ def _space(
             "from its floor, and 0.2 m must be left each way"
         )
     if not (0 < speed < 100 and 0 < climb < 100):
-        raise PlanError(f"speed limits of {speed:g} and {climb:g} m/s cannot be flown; give positive ones")
+        raise PlanError(f"speed limits of {speed:g} and {climb:g} m/s cannot be flown; give positive ones below 100")
     x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))
     return Space(lower, upper, (x, y, z, 0.0), speed, climb)
 

@@ -76,7 +76,9 @@ def _horizon_chart(scores: Sequence[HorizonErrors], what: str, unit: str, factor
 
 
 def _listed(x: Array, y: Array) -> str:
-    return ", ".join(f"{value:.3g} at {at:g} s" for at, value in zip(x, y, strict=True) if np.isfinite(value))
+    return ", ".join(
+        f"{value:.3g} at {round(float(at), 9) + 0.0:g} s" for at, value in zip(x, y, strict=True) if np.isfinite(value)
+    )
 
 
 def profile_charts(model: Model) -> tuple[Chart, ...]:

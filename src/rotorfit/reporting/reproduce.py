@@ -90,9 +90,8 @@ def _options(model: Model) -> list[str]:
 def _axes(model: Model) -> list[str]:
     """The option that names the axes, if a likelihood fit left out some that the flights command."""
     served = {axis for flight in model.flights for axis in flight.axes}
-    asked = [
-        a for a in AXES if a not in served or model.axes[a].noise or model.axes[a].status["input"] != "not_excited"
-    ]
+    unasked = ("not_fitted", "not_excited")  # earlier files have the second for both
+    asked = [a for a in AXES if a not in served or model.axes[a].noise or model.axes[a].status["input"] not in unasked]
     return ["--axes", ",".join(asked)] if model.method != "paper" and asked and len(asked) < len(AXES) else []
 
 

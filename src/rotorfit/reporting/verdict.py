@@ -176,6 +176,7 @@ GRAVITY = ("red", "grey", "open", "yellow", "green")
 
 STATUS = {
     "not_excited": "its commands explain nothing of the motion",
+    "not_fitted": "the fit left the axis out",
     "too_short": "there is too little data",
     "diverged": "the estimation found no optimum",
     "not_identifiable": "the data do not separate it from the other coefficients",

@@ -25,8 +25,9 @@ MODEL_LOOKS = 6
 READING = {
     "velocity": "Every piece of the predicted line comes from data that end 0.5 to 1 s before it; from there on only "
     "the commands are known. Where it covers the measured line, the model can be trusted that far ahead.",
-    "acceleration": "The paper's Figure 4: a = R(g u(t − delay) − b v) in world axes against the second derivative of "
-    "the measured pose. What remains between the lines is wind, noise, and what the model leaves out.",
+    "acceleration": "The paper's Figure 4: a = R(g u(t − delay) − b v) in world axes, the command smoothed by the lag "
+    "where the law has one, against the second derivative of the measured pose. What remains between the lines is "
+    "wind, noise, and what the model leaves out.",
 }
 """How to read the charts of a flight."""
 

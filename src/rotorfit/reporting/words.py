@@ -23,7 +23,7 @@ TERMS: Mapping[str, str] = MappingProxyType(
         "95 % interval": "Range that holds the true value in 95 of 100 repetitions, if the model is right.",
         "status": "ok; not excited: the command explains nothing; not identifiable: the data do not pin it down; "
         "diverged: no optimum; too short: too little data; refuted: the flights deny the law; pose frozen: the pose "
-        "stands still under commands.",
+        "stands still under commands; not fitted: the fit left the axis out.",
         "paper": "What the paper's linear regression, without a delay, gives on the same training flights.",
         "RMS": "Root mean square: the typical size of an error.",
         "velocity error": "Root mean square error of the predicted velocity, over all steps up to the horizon, on "

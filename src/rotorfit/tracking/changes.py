@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc
 
-from rotorfit.core.frames import Array, Indices
+from rotorfit.core.frames import AXES, Array, Indices
 from rotorfit.tracking.scores import CHUNK, FADES, LASTS, WINDOWS, Scores
 
 UNLIKELY = 1e-3
@@ -70,6 +70,10 @@ CORRELATED = 0.5
 
 TOGETHER = 0.5
 """Changes of several axes within this time count as one [s]."""
+
+SHARED = (("delay", AXES), ("input", ("x", "y")), ("input", ("x", "y", "z")))
+"""Coefficients, and the axes that one cause shifts alike: a radio or a clock delays all, a limit of tilt or speed
+scales x and y, and a mode of the autopilot z with them."""
 
 LEAST_WINDOW = WINDOWS[0]
 """Shortest window that tells which coefficients shifted [s]: a shorter one takes one shift for another."""
@@ -282,11 +286,6 @@ def _inverse(products: Array, least: float) -> Array:
     return np.asarray((vector * (keep / np.where(keep, value, 1.0))[:, None]) @ vector.transpose(0, 2, 1))
 
 
-def looked_for(scores: Scores) -> list[Contrast]:
-    """The contrasts of all windows of at most half the regime, along `_bases`, and the likeliest jolt."""
-    return _looked_for(scores, _windows(scores, WINDOWS), _jolts_of(scores))
-
-
 def _windows(scores: Scores, lengths: Sequence[float]) -> list[_Compared]:
     """The comparisons of the windows of some lengths [s], of at most half the regime."""
     return _compared(scores, _begins(scores, lengths))
@@ -304,6 +303,7 @@ def compares(scores: Scores, lengths: Sequence[float] = WINDOWS) -> bool:
 
 
 def _looked_for(scores: Scores, windows: Sequence[_Compared], jolts: "_Jolts | None") -> list[Contrast]:
+    """The contrasts of the windows, along `_bases`, and the likeliest jolt."""
     found = [each for one, basis in _likely(scores, windows) if (each := _along(scores, one, basis))]
     return [*found, *_jolted([scores], [jolts]).values()]
 
@@ -319,7 +319,7 @@ def looked_together(
 ) -> tuple[dict[tuple[str, ...], list[Contrast]], int]:
     """The contrasts of all likelihoods, each by itself and together, and the number of tests of a look.
 
-    Together: simultaneous jolts of two axes, and one step of all delays.
+    Together: simultaneous jolts of two axes, and a shift that axes share, see `SHARED`.
 
     Args:
         scored: Scores of each likelihood.
@@ -332,10 +332,10 @@ def looked_together(
     for pair in pairs:
         for names, one in _jolted(pair, [jolts[scores.names] for scores in pair]).items():
             looked[names].append(one)
-    for names, one in _delayed(scored, windows):
+    for names, one in _shared(scored, windows):
         looked[names].append(one)
     count = sum(looks(scores, lengths) for scores in scored) + sum(_instants(pair[0]) for pair in pairs)
-    return looked, count + (len(lengths) if len(scored) > 1 else 0)
+    return looked, count + (len(SHARED) * len(lengths) if len(scored) > 1 else 0)
 
 
 def pushes(names: Sequence[str], one: Contrast) -> bool:
@@ -364,29 +364,54 @@ def in_any_air(names: tuple[str, ...], under: Sequence[Sequence[Scores]], length
     return float(weight @ least / weight.sum())
 
 
-def _delayed(
+def _shared(
     scored: Sequence[Scores], windows: Mapping[tuple[str, ...], Sequence[_Compared]]
 ) -> Iterator[tuple[tuple[str, ...], Contrast]]:
-    """For each window, the step of all delays by the same time, as a contrast of the likelihood that shows it best."""
-    for since in dict.fromkeys(one.since for each in windows.values() for one in each):
-        there = [
-            (scores, one, _alike(scores.names, "delay"))
-            for scores in scored
-            for one in windows[scores.names]
-            if one.since == since
-        ]
-        most = sum(_squared(one, along) for _, one, along in there)  # by the Cauchy-Schwarz inequality
-        if not there or _p_value(most, 1, min(scores.chunks_before(one.at) for scores, one, _ in there)) > UNLIKELY:
-            continue
-        found = [(scores.names, each) for scores, one, along in there if (each := _along(scores, one, along))]
-        if len(found) < 2:
-            continue
-        precision = np.array([each.precision.max() for _, each in found])
-        step = np.array([each.shift[np.argmax(np.abs(each.shift))] for _, each in found])
-        statistic = float((precision @ step) ** 2 / precision.sum())
-        p_value = float(_p_value(statistic, 1, min(each.freedom for _, each in found)))
-        names, best = max(found, key=lambda one: one[1].statistic)
-        yield names, replace(best, p_value=p_value)
+    """For each window, one shift of a coefficient that axes share, as a contrast of the likelihood that shows it best.
+
+    Its variance comes from the scores of all these axes together: on a flight of single steps each axis answers in a
+    few seconds only, and what a few seconds tell of a variance makes the rarest p-values of one axis useless.
+    """
+    for kind, axes in SHARED:
+        along = {scores.names: _alike(scores.names, kind, axes) for scores in scored}
+        there = [scores for scores in scored if along[scores.names].any()]
+        begins = dict.fromkeys(one.since for each in windows.values() for one in each)
+        for since in begins if len(there) > 1 else ():
+            seen = [
+                (each, one, along[each.names]) for each in there for one in windows[each.names] if one.since == since
+            ]
+            most = sum(_squared(*each[1:]) for each in seen)  # by the Cauchy-Schwarz inequality
+            if not seen or _p_value(most, 1, max(each.chunks_before(one.at) for each, one, _ in seen)) > UNLIKELY:
+                continue
+            found = [(each, one, told) for each, one, way in seen if (told := _along(each, one, way))]
+            if len(found) < 2:
+                continue
+            names, best = max(((each.names, told) for each, _, told in found), key=lambda each: each[1].statistic)
+            yield names, replace(best, p_value=_p_value_of_all(found, along))
+
+
+def _p_value_of_all(
+    found: Sequence[tuple[Scores, _Compared, Contrast]], along: Mapping[tuple[str, ...], Array]
+) -> float:
+    """p-value of one shift of several likelihoods, each with its contrast in that direction.
+
+    Each score is weighted by the inverse of its variance. The variance of their sum over a chunk is at least that of
+    independent scores, and larger as far as the chunks show that they move together.
+    """
+    score = precision = expected = 0.0
+    sums: dict[float, float] = {}
+    for scores, one, told in found:
+        way = along[scores.names]
+        weight = float((way.T @ told.precision @ way)[0, 0] / (way.T @ one.M @ way)[0, 0] / (way.T @ way)[0, 0] ** 2)
+        score += weight * float((one.u @ way)[0])
+        precision += weight * float((way.T @ one.M @ way)[0, 0])
+        chunks, products = scores.before(one.at)
+        own = (chunks @ way)[:, 0] * weight
+        expected += max(float(own @ own), weight**2 * float((way.T @ products @ way)[0, 0]))
+        for second, value in zip(scores.seconds(own.size), own, strict=True):
+            sums[second] = sums.get(second, 0.0) + value
+    excess, freedom = _spread(np.array([*sums.values()])[:, None], np.array([expected]))
+    return float(_p_value(score**2 / precision / max(float(excess[0]), 1.0), 1, freedom))
 
 
 def _squared(one: _Compared, along: Array) -> float:
@@ -441,6 +466,7 @@ def _jolts_of(scores: Scores) -> _Jolts | None:
     largest = float(np.quantile(usual, RARE)) / RARE_OF_NORMAL
     variance = MARGIN * max(float(usual.mean()), largest, 1.0)
     most = max(float((p**2 / np.maximum(q, 1e-300)).max()) for p, q in wrong)
+    power = np.maximum(power, 1e-300)  # zero where the rows since an instant are not tested
     return _Jolts(scores.time[new], product, power, most, variance, freedom)
 
 
@@ -486,9 +512,9 @@ def _bases(names: tuple[str, ...]) -> list[Array]:
     return [every, *alone, _alike(names, "input"), _alike(names, "delay")]
 
 
-def _alike(names: Sequence[str], kind: str) -> Array:
-    """The direction in which one coefficient of each axis shifts by the same amount, shape (P, 1)."""
-    return np.array([[float(name.endswith(f".{kind}"))] for name in names])
+def _alike(names: Sequence[str], kind: str, axes: Sequence[str] = AXES) -> Array:
+    """The direction in which one coefficient of each of some axes shifts by the same amount, shape (P, 1)."""
+    return np.array([[float(name in [f"{axis}.{kind}" for axis in axes])] for name in names])
 
 
 def calm(scores: Scores, before: float, since: float, p_value: float) -> bool:

@@ -31,6 +31,7 @@ from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
     LEAST_WINDOW,
     NEW,
+    UNLIKELY,
     Contrast,
     at_once,
     calm,
@@ -39,7 +40,6 @@ from rotorfit.tracking.changes import (
     earliest,
     in_any_air,
     likeliest,
-    looked_for,
     looked_together,
     pushes,
 )
@@ -200,7 +200,8 @@ class Following:
         Args:
             flight: Its samples up to now.
             now: Time of the look [s].
-            standing: Whether the vehicle stands, or takes off or lands by itself: then no change is tested for.
+            standing: Whether the vehicle stands, may touch down, or takes off or lands by itself: then no change is
+                tested for.
 
         Returns:
             The state, with the alarms of this look.
@@ -300,7 +301,7 @@ class Following:
         if not raised and not calm(scored[names], min(since[0], best.since), best.since, p_value):
             self._suspected = suspected or now
             return None  # the air, not the vehicle
-        if not raised and self._at_rest(flight, now, names, threshold):
+        if not raised and not _seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
         odds = _odds_of_a_push(scored, since) if best.jolt else np.inf
         if raised and odds < -VERY_STRONG:
@@ -393,9 +394,8 @@ class Following:
             if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * (now - begin):
                 continue
             fitted = refitted(part, axes, self._structure, group.fitted.seen)
-            if fitted.estimates and not any(
-                one.p_value < threshold for scores in scores_of_groups([fitted], flight) for one in looked_for(scores)
-            ):
+            looked, _ = looked_together(scores_of_groups([fitted], flight))
+            if fitted.estimates and not any(one.p_value < threshold for each in looked.values() for one in each):
                 self._groups[axes] = replace(apart, fitted=fitted)
                 return True
         return False
@@ -523,6 +523,16 @@ def _sizes(
         return named.change
     axes = {name: next(scores for names, scores in scored.items() if name in names) for name in named.change}
     return {name: push_interval(scores, since) for name, scores in axes.items()}
+
+
+def _seen_in_z_or_yaw(looked: Mapping[tuple[str, ...], Sequence[Contrast]], first: Contrast) -> bool:
+    """Whether z or yaw, which do not brake, answer otherwise since the same instant."""
+    return any(
+        one.since == first.since and one.p_value < UNLIKELY
+        for names, each in looked.items()
+        if not {name.partition(".")[0] for name in names} & {"x", "y"}
+        for one in each
+    )
 
 
 def _rarest(

@@ -3,6 +3,9 @@
 A vehicle stands if it rests at the lowest height seen so far. It moves by itself if it climbs or sinks although all
 commands have been zero for a while, as in a take-off or a landing. If the link reports whether commands are obeyed,
 that counts too. A vehicle that hovers motionless at that height is taken to stand; it teaches nothing either.
+
+Between touching down and being seen to stand lies a second in which the ground looks like another vehicle: who has
+sunk, as commanded, to the lowest height so far may have touched down.
 """
 
 from collections import deque
@@ -30,6 +33,9 @@ SILENT = 1.0
 BY_ITSELF, CALM = 0.25, 0.1
 """Vertical speed from which a vehicle takes off or lands by itself, and up to which it no longer does [m/s]."""
 
+SANK = 0.1
+"""How far a vehicle that may have touched down has sunk over the window [m]."""
+
 ASKED = 1e-3
 """Largest command that counts as zero [unit of the command]."""
 
@@ -45,11 +51,18 @@ class Ground:
         self._recent: deque[tuple[float, Array]] = deque()
         self._looked = -np.inf
         self._asked = -np.inf  # when a command last asked for anything
+        self._down = -np.inf  # when a command last asked to sink
+        self._sank = -np.inf  # when the vehicle last sank, as commanded, at the lowest height
 
     @property
     def stands(self) -> bool:
         """Whether nothing can be learnt now."""
         return self._since is not None
+
+    @property
+    def touches(self) -> bool:
+        """Whether the vehicle stands, or may have touched down a moment ago."""
+        return self.stands or self._looked - self._sank < WINDOW
 
     def low(self, height: float) -> bool:
         """Whether a height [m] may be that of the ground."""
@@ -68,6 +81,8 @@ class Ground:
         """
         if max(map(abs, values)) > ASKED:
             self._asked = time
+        if values[2] < -ASKED:
+            self._down = time
 
     def report(self, time: float, obeys: bool) -> None:
         """Takes the vehicle's own report.
@@ -104,6 +119,8 @@ class Ground:
         if time - begun < WINDOW - EVERY:
             return
         ranges = np.ptp(past, axis=0)
+        if past[0, 2] - past[-1, 2] > SANK and self.low(float(pose[2])) and time - self._down <= WINDOW:
+            self._sank = time
         climb = float(past[-1, 2] - past[len(past) // 2, 2]) / max(time - self._recent[len(past) // 2][0], EVERY)
         silent = not self.asked_within(time, SILENT)
         rests = bool(np.all(ranges <= RESTS))

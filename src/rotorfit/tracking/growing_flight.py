@@ -179,8 +179,8 @@ class GrowingFlight:
 
     @property
     def standing(self) -> bool:
-        """Whether nothing can be learnt now: the vehicle stands, takes off or lands by itself, or does not obey."""
-        return self._ground.stands
+        """Whether nothing can be told now: it stands, touches down, takes off or lands by itself, or does not obey."""
+        return self._ground.touches
 
     def flight(self) -> Flight | None:
         """The flight so far; None until it has a segment: a command that is obeyed, and two poses under it."""

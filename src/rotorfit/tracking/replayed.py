@@ -1,6 +1,6 @@
 """A recorded flight, tracked as if it were live: what was known at each second."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +9,11 @@ from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frozen import with_frozen
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import with_findings
-from rotorfit.core.tracked import Track, Tracked
+from rotorfit.core.tracked import Alarm, Track, Tracked
 from rotorfit.tracking.earlier import Earlier, check_earlier
 from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, Following
 from rotorfit.tracking.ground import Ground
+from rotorfit.tracking.pose_watch import PoseWatch
 
 OnState = Callable[[Tracked], None]
 
@@ -48,17 +49,19 @@ def tracked(
     if earlier:
         check_earlier(earlier, flight.card)
     following, ground, states = Following(structure, false_alarms_per_hour, earlier, tuned), Ground(), []
-    seen = 0.0
+    watch, jumped, seen = PoseWatch(), list[Alarm](), 0.0
     for part, now in growing(flight, following.next_look, GLANCE):
-        _stand_on(ground, part, seen)
+        jumped += _watched(ground, watch, part, seen)
         seen = now
-        if state := following.follow(part, now, ground.stands):
-            states.append(state)
-            on_state(state)
+        if state := following.follow(_split(part, watch.jumps), now, ground.touches):
+            states.append(replace(state, alarms=(*jumped, *state.alarms)))
+            jumped = []
+            on_state(states[-1])
         if stopped():
             flight = part
             break
-    last, regimes = following.finish(flight, flight.segments[-1].end)
+    last, regimes = following.finish(_split(flight, watch.jumps), flight.segments[-1].end)
+    last = replace(last, alarms=(*jumped, *last.alarms))
     on_state(last)
     regimes = tuple(
         replace(one, model=one.model and with_frozen(with_findings(one.model, (*flight.findings, *one.model.findings))))
@@ -67,17 +70,33 @@ def tracked(
     return Track((*states, last), regimes)
 
 
-def _stand_on(ground: Ground, part: Flight, since: float) -> None:
-    """Feeds `ground` the commands and poses after an instant [s], in the order of their times."""
+def _watched(ground: Ground, watch: PoseWatch, part: Flight, since: float) -> list[Alarm]:
+    """Feeds the commands and poses after an instant [s], in the order of their times; the alarms of poses that jumped.
+
+    Reading a log drops poses that repeat: they raise no alarm here.
+    """
     commands, poses = (int(np.searchsorted(t, since, side="right")) for t in (part.command_time, part.pose_time))
     sent = list(zip(part.command_time[commands:], part.command[commands:].tolist(), strict=True))
-    pose = np.column_stack([part.position, part.yaw])
-    for time, one in zip(part.pose_time[poses:], pose[poses:], strict=True):
+    pose, alarms = np.column_stack([part.position, part.yaw]), []
+    for time, one in zip(part.pose_time[poses:].tolist(), pose[poses:], strict=True):
         while sent and sent[0][0] <= time:
             ground.command(*sent.pop(0))
-        ground.pose(float(time), one)
+        ground.pose(time, one)
+        if alarm := watch.take(time, one, ground.stands).alarm:
+            alarms.append(alarm)
     for command in sent:
         ground.command(*command)
+    return [alarm for alarm in alarms if alarm.cause == "pose_jumped"]
+
+
+def _split(flight: Flight, jumps: Sequence[float]) -> Flight:
+    """The flight with its segments split where the pose jumped [s]: no motion leads from before to after."""
+    parts: list[Segment] = []
+    for part in flight.segments:
+        inner = [jump for jump in jumps if part.start < jump < part.end]
+        ends = [float(np.nextafter(jump, -np.inf)) for jump in inner]
+        parts += map(Segment, (part.start, *inner), (*ends, part.end))
+    return replace(flight, segments=tuple(parts)) if jumps else flight
 
 
 def growing(flight: Flight, begin: float, every: float = EVERY) -> Iterator[tuple[Flight, float]]:

@@ -154,6 +154,10 @@ class Scores:
         """Number of chunks that begin before a row."""
         return int(np.searchsorted(self._chunks, at))
 
+    def seconds(self, count: int) -> Array:
+        """The whole seconds that the first `count` chunks lie in, shape (count,)."""
+        return np.floor(self.time[self._chunks[:count]] / CHUNK)
+
     def before(self, at: int) -> tuple[Array, Array]:
         """Sums of the scores over each chunk before a row, shape (C, P), and the products of the scores there."""
         (sums, products), last = self._of_chunks, self.chunks_before(at) - 1

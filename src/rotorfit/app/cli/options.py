@@ -36,7 +36,7 @@ def axes_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -
     unknown = [axis for axis in axes if axis not in AXES]
     if unknown:
         raise click.BadParameter(f"no such axis: {', '.join(map(repr, unknown))}; axes are {', '.join(AXES)}", ctx)
-    return axes
+    return tuple(axis for axis in AXES if axis in axes)
 
 
 def some_axes_of(ctx: click.Context, parameter: click.Parameter, text: str | None) -> Any:
