@@ -1,5 +1,6 @@
 """Models by hand, for tests of what is made of them."""
 
+import itertools
 import math
 import tomllib
 from collections.abc import Mapping
@@ -20,6 +21,9 @@ VEHICLE: Mapping[str, Point] = {
     axis: (GAMMA_B[2 * k], GAMMA_B[2 * k + 1], 0.1 + 0.05 * k) for k, axis in enumerate(AXES)
 }
 """The demo's vehicle with a delay of its own on each axis: input, damping, delay."""
+
+
+_FITS = itertools.count()
 
 
 def axis_of(point: Point, error: float = 0.02) -> Axis:
@@ -57,6 +61,11 @@ def model_of(points: Mapping[str, Point] = VEHICLE, card: Card = CARD, error: fl
     covariance = np.outer(deviation, deviation) * (0.3 + 0.7 * np.eye(deviation.size))
     paper = tuple(value for axis in AXES for value in (points[axis][:2] if axis in points else (None, None)))
     return Model(card, "first_order_delay", "ml", axes, names, covariance, paper, (), ())
+
+
+def next_fit(points: Mapping[str, Point] = VEHICLE, error: float = 0.02) -> Model:
+    """As `model_of`, of a fit of its own: no two fits have the same errors to the last digit."""
+    return model_of(points, error=error * (1 + 1e-12 * next(_FITS)))
 
 
 def demo_card(limits: str | None = None, name: str | None = None, **channels: str) -> Card:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from models import VEHICLE, model_of
+from models import VEHICLE, next_fit
 from rotorfit.app.live.regained import Regaining
 from rotorfit.control.tuning import tune
 from rotorfit.core.errors import LogError, ModelError
@@ -36,7 +36,7 @@ def told(path: Path | None, given: list[Tracked]) -> tuple[list[Mapping[str, Any
 
 
 def only(axis: str = "x") -> Model:
-    return model_of({axis: VEHICLE[axis]})
+    return next_fit({axis: VEHICLE[axis]})
 
 
 def test_gains_are_a_message_with_reasons_and_no_file_unless_it_is_named(tmp_path: Path) -> None:
@@ -85,14 +85,14 @@ def test_each_axis_without_new_gains_has_its_reason(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["gains.toml", pytest.param("gains.yaml", marks=pytest.mark.slow)])
 def test_gains_in_the_file_are_flown_and_axes_that_are_not_retuned_stay(name: str, tmp_path: Path) -> None:
-    path, model = tmp_path / name, model_of({axis: VEHICLE[axis] for axis in ("x", "z")})
+    path, model = tmp_path / name, next_fit({axis: VEHICLE[axis] for axis in ("x", "z")})
     save_gains(tune(model, "linearising", rate=25.0), model, path)
     before = read_gains(path)
     assert told(path, states(*(only() for _ in range(3))))[0] == []
     assert read_gains(path) == before
 
     g, b, tau = VEHICLE["x"]
-    (message,), _ = told(path, states(*(model_of({"x": (1.6 * g, b, tau)}) for _ in range(3))))
+    (message,), _ = told(path, states(*(next_fit({"x": (1.6 * g, b, tau)}) for _ in range(3))))
     after = read_gains(path)
     assert (message["design"], message["rate"], list(message["axes"])) == ("linearising", 25.0, ["x"])
     assert after["axes"]["z"] == before["axes"]["z"]
@@ -108,7 +108,7 @@ def test_an_alarm_of_the_pose_and_a_landing_change_no_gains() -> None:
 
 def test_after_an_alarm_the_vehicle_must_settle_anew() -> None:
     g, b, tau = VEHICLE["x"]
-    other = [model_of({"x": (g, b, tau + 0.1)}) for _ in range(3)]
+    other = [next_fit({"x": (g, b, tau + 0.1)}) for _ in range(3)]
     given = [*states(only(), only()), *states(other[0], alarms=(CHANGED,)), *states(*other[1:])]
     first, second = told(None, given)[0]
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models import VEHICLE, Point, model_of
+from models import VEHICLE, Point, next_fit
 from rotorfit.control.retuning import FASTER, Flown, Retuned, Retuning
 from rotorfit.control.tuning import tune
 from rotorfit.core.model import Model, Plain, first_order
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.flights
 
 def of_x(point: Point = VEHICLE["x"], error: float = 0.05) -> Model:
     """A model of x alone."""
-    return model_of({"x": point}, error=error)
+    return next_fit({"x": point}, error)
 
 
 def flown(error: float = 0.05) -> Mapping[str, Flown]:
@@ -37,6 +37,30 @@ def test_the_first_gains_come_when_a_second_fit_says_the_same() -> None:
     (found,) = looks(retuning, of_x())
     assert found.tuning.axes["x"].law == tune(of_x(), axes=("x",)).axes["x"].law
     assert "settled" in found.why["x"]
+
+
+def test_a_new_fit_of_another_axis_is_no_new_fit_of_this_one() -> None:
+    """Its trims are then told for another number of flights, which makes the axis another object."""
+    first = of_x()
+    x = replace(first.axes["x"], trim=(None, 0.01))
+    beside = replace(first, axes={**first.axes, "x": x, "z": next_fit({"z": VEHICLE["z"]}).axes["z"]})
+
+    assert looks(Retuning(), first, beside) == []
+
+
+def test_after_a_change_all_that_the_settled_fit_told_may_be_carried_over() -> None:
+    g, b, tau = VEHICLE["x"]
+
+    def bandwidth(*causes: str) -> float:
+        retuning = Retuning(flown=flown(0.02))
+        for cause in causes:
+            looks(retuning, *(of_x(error=0.02) for _ in range(3)))
+            retuning.changed(["x"], cause)
+            assert "x" not in retuning.kept  # it was of the vehicle before
+        (found,) = looks(retuning, *(of_x((1.6 * g, b, tau), error=0.2) for _ in range(3)))
+        return found.tuning.axes["x"].bandwidth
+
+    assert bandwidth("other", "limits") == bandwidth("limits") > bandwidth("other")
 
 
 def lagged() -> Model:

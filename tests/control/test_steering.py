@@ -96,6 +96,22 @@ def test_the_integral_waits_along_the_axis_of_which_nothing_more_can_be_asked(he
     assert aside @ gained == pytest.approx(-0.02 * PERIOD)
 
 
+def test_the_filter_of_an_axis_turns_with_the_vehicle() -> None:
+    laws = dict(controller_for("linearising", 1.5).laws)
+    laws["x"], laws["y"] = (replace(laws[axis], filter_time=time) for axis, time in (("x", 0.25), ("y", 0.03)))
+    controller, off = AxisControllers(laws, np.ones(4)), 0.05
+
+    def rate_ahead(heading: float) -> float:
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        hover = ReferencePath("steps", 1.0, 1.0, centre=(0.0, 0.0, 0.0, heading))
+        there = np.array([*(off * ahead), 0.0, heading])
+        steering = observe(controller, at_rest(np.array([0.0, 0.0, 0.0, heading])), PERIOD, there, hover)
+        return float(ahead @ steering.error[1, :2])
+
+    assert rate_ahead(0.0) == pytest.approx(-off / (0.25 + PERIOD))
+    assert rate_ahead(np.pi / 2) == pytest.approx(rate_ahead(0.0))
+
+
 def test_an_old_pose_is_left_out_and_the_heading_is_unwrapped() -> None:
     controller, steering = controller_for(), at_rest(np.array([0.0, 0.0, 1.0, 3.1]))
     later = observe(controller, steering, PERIOD, np.array([0.0, 0.0, 1.0, -3.1]), HOVER)

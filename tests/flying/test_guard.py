@@ -197,8 +197,8 @@ def test_braking_follows_the_belief() -> None:
     believed = replace(plan, belief={"gamma": [4.0, 0.2, 5.0, 0.4, 4.0, 2.0, 5.0, 3.0], "delay": [0.2, 0.1, 0.3, 0.1]})
     limits = limits_of(believed)
 
-    assert limits.deceleration == (2.0, 2.5, math.inf)
-    assert limits.reaction == pytest.approx((0.2 + FILTER, 0.1 + FILTER, 0.3 + 0.5 + FILTER))
+    assert limits.deceleration == (2.0, 2.0, math.inf)  # turned, it brakes along the world's y as along its own x
+    assert limits.reaction == pytest.approx((0.2 + FILTER, 0.2 + FILTER, 0.3 + 0.5 + FILTER))
     assert SERVO < 2.0
     unknown = limits_of(replace(plan, belief={}))
     tilt = plan.card["limits"]["tilt"]

@@ -319,15 +319,16 @@ def _learn(state, error, pose, missing, since, bounded, numbers):  # type: ignor
         state[i, 1] += s * x + c * y
         for a in range(2, 4):
             state[i, a] += numbers[a, OBSERVER + i] * off[a]
-    x = 0.0 if bounded[0] else since * _along(missing, pose[3], 0)
-    y = 0.0 if bounded[1] else since * _along(missing, pose[3], 1)
-    error[2, 0] += c * x - s * y
-    error[2, 1] += s * x + c * y
+    own = np.zeros((2, 4))  # what the axes of the vehicle add to the rate and to the integral
+    grown = missing - error[0] - since * error[1]
     for a in range(4):
-        error[1, a] += (missing[a] - error[0, a] - since * error[1, a]) / (numbers[a, FILTER_TIME] + since)
-        if a >= 2 and not bounded[a]:
-            error[2, a] += since * missing[a]
-        error[0, a] = missing[a]
+        own[0, a] = _along(grown, pose[3], a) / (numbers[a, FILTER_TIME] + since)
+        own[1, a] = 0.0 if bounded[a] else since * _along(missing, pose[3], a)
+    for i in range(2):
+        error[1 + i, 0] += c * own[i, 0] - s * own[i, 1]
+        error[1 + i, 1] += s * own[i, 0] + c * own[i, 1]
+        error[1 + i, 2:] += own[i, 2:]
+    error[0] = missing
 
 
 @numba.njit(cache=True)

@@ -122,8 +122,8 @@ class Retuning:
         self._before = {axis: first_order(before, axis) for axis, one in known.items() if before and one.predictor}
         self._carried: dict[str, tuple[str, ...]] = dict.fromkeys(AXES, COEFFICIENTS)
         self._anew: set[str] = set()
-        self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew)
         self.kept: dict[str, str] = {}
+        self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew), dict(self.kept)
 
     def changed(self, axes: Collection[str], cause: str, revised: bool = False) -> None:
         """Notes that the vehicle has changed.
@@ -134,14 +134,15 @@ class Retuning:
             revised: Whether the last change is meant, its axes and cause now better known.
         """
         if revised:
-            self._fits, self._before, self._carried, self._anew = self._unchanged
-        self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew)
+            self._fits, self._before, self._carried, self._anew, self.kept = self._unchanged
+        self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew), dict(self.kept)
         for axis in axes:
-            last = self._fits.pop(axis, None)
+            self.kept.pop(axis, None)
+            last, known = self._fits.pop(axis, None), self._carried[axis]
             if last:
-                self._before[axis] = last[2]
+                self._before[axis], known = last[2], COEFFICIENTS
             kept = HEAVIER if cause == "payload" and axis in ("x", "y") else CARRIED.get(cause, ())
-            self._carried[axis] = tuple(name for name in self._carried[axis] if name in kept)
+            self._carried[axis] = tuple(name for name in known if name in kept)
             if self._carried[axis] != COEFFICIENTS:
                 self._anew.add(axis)
 
@@ -172,7 +173,7 @@ class Retuning:
     def _settled(self, model: Model, axis: str, known: bool) -> Weighed | None:
         """The belief about an axis, if there is a new fit and it has settled; else None."""
         before = self._fits.get(axis)
-        if model.axes[axis].predictor is None or (before and before[0] is model.axes[axis]):
+        if model.axes[axis].predictor is None or (before and _is_same_fit(before[0], model.axes[axis])):
             return None
         fit = first_order(model, axis)
         now = self._belief(axis, fit)
@@ -211,6 +212,11 @@ class Retuning:
         if fresh.bandwidth >= FASTER * flown.bandwidth:
             return f"the vehicle is known better: {fresh.bandwidth / flown.bandwidth:.1f} times as fast"
         return ""
+
+
+def _is_same_fit(old: Axis, now: Axis) -> bool:
+    """Whether two axes have their numbers from one fit; their trims may be told for other flights beside it."""
+    return old.predictor == now.predictor and old.stderr == now.stderr
 
 
 def _same(old: Weighed, now: Weighed) -> bool:

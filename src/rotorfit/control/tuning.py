@@ -149,6 +149,9 @@ def tune(
         if model.axes[axis].predictor is None:
             refused[axis] = f"the model has no numbers {unknown_why(model, axis)}"
             continue
+        if doubts := _untrusted(model, axis):
+            refused[axis] = doubts
+            continue
         vehicle = known_dynamics(model, axis)
         possible = doubt(believed_possible(model, axis, draws, seed), 1 / rate, latency, seed)
         found = _fastest(model, axis, kind, vehicle, possible, 1 / rate, latency, peak)
@@ -179,6 +182,20 @@ def _check(kind: Kind, rate: float, latency: float, peak: float, draws: int) -> 
         )
     if not (1.2 <= peak <= 3.0 and draws >= 20):
         raise ModelError(f"cannot tune to a peak of {peak:g} over {draws} draws: 1.2 to 3, and at least 20")
+
+
+def _untrusted(model: Model, axis: str) -> str:
+    """Why the numbers of an axis are for no controller, by its findings and its sign; empty if nothing speaks so."""
+    for finding in model.findings:
+        if finding.axis in (axis, None) and (finding.severity == "error" or finding.code == "delay_negative"):
+            return f"{finding.evidence}; {finding.remedy}"
+    predictor = model.axes[axis].predictor
+    turned = predictor is not None and predictor.input < 0
+    return (
+        f"its input gain is negative; give {axis} of [command] in the card the other sign, and fit again"
+        if turned
+        else ""
+    )
 
 
 def _fastest(

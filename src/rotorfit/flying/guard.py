@@ -140,14 +140,17 @@ class GuardVerdict:
 def limits_of(plan: Plan) -> Limits:
     """The limits of a plan, with the braking to be expected from its belief, or else from its card.
 
+    A vehicle that has turned may brake along the world's x as it does along its own y: the weaker counts for both.
+
     Raises:
         CardError: The plan's card is wrong.
     """
     stops = [_stop(plan, axis) for axis in AXES[:3]]
     space = plan.space
-    x, y, z = (reaction + FILTER for reaction, _ in stops)
-    a, b, c = (deceleration for _, deceleration in stops)
-    return Limits(space.lower, space.upper, space.speed, space.climb, (x, y, z), (a, b, c), plan.duration + SPARE)
+    flat, upright = (max(late for late, _ in each) + FILTER for each in (stops[:2], stops[2:]))
+    brakes, climbs = (min(deceleration for _, deceleration in each) for each in (stops[:2], stops[2:]))
+    late, braking = (flat, flat, upright), (brakes, brakes, climbs)
+    return Limits(space.lower, space.upper, space.speed, space.climb, late, braking, plan.duration + SPARE)
 
 
 def _stop(plan: Plan, axis: str) -> tuple[float, float]:
@@ -174,7 +177,8 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
         The watch after it, and whether the sample was a new, plausible pose.
     """
     if sample.stream == "battery":
-        return replace(watch, battery=sample.values[0], heard_other=sample.received), False
+        charge = sample.values[0] if math.isfinite(sample.values[0]) else watch.battery
+        return replace(watch, battery=charge, heard_other=sample.received), False
     if sample.stream in ("velocity", "said"):
         return replace(watch, heard_other=sample.received), False
     if sample.values == watch.raw or (watch.pose is not None and sample.stamp <= watch.stamp):

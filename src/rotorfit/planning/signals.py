@@ -101,7 +101,7 @@ def designed(
         make = doublets if design == "doublets" else three_two_one_one
         return make(amplitude, duration, band, place)
     if design == "prbs":
-        return prbs(amplitude, duration, band, seed + place)
+        return prbs(amplitude, duration, band, seed, place)
     raise ValueError(f"no such design: {design!r}; designs are {', '.join(DESIGNS)}")
 
 
@@ -220,16 +220,17 @@ def _steps(held: Iterable[tuple[float, int]], amplitude: float, duration: float)
     return Steps((*time, float(now)), (*level, 0.0))
 
 
-def prbs(amplitude: float, duration: float, band: tuple[float, float], seed: int = 0) -> Steps:
+def prbs(amplitude: float, duration: float, band: tuple[float, float], seed: int = 0, place: int = 0) -> Steps:
     """A maximum-length binary sequence: two levels that alternate pseudo-randomly, with a known flat spectrum.
 
     The clock follows from the highest frequency; the register is the shortest that covers the duration, up to 11 bits;
-    the seed draws its initial state.
+    the seed draws its initial state. Axes that are flown together take it a quarter of the period apart, where a
+    maximum-length sequence has no correlation with itself.
     """
     clock = PRBS_BAND / band[1]
     ticks = int(duration / clock)
     bits = next((n for n in TAPS if 2**n - 1 >= ticks), max(TAPS))
-    sequence = maximum_length_sequence(bits, seed)
+    sequence = np.roll(maximum_length_sequence(bits, seed), -place * (2**bits - 1) // len(AXES))
     level = amplitude * (2.0 * np.resize(sequence, ticks) - 1)
     change = np.flatnonzero(np.diff(level, prepend=0.0))
     return Steps((*map(float, clock * change), float(duration)), (*map(float, level[change]), 0.0))

@@ -159,6 +159,9 @@ def _air(
     pushed = (heading_from_world(change, turn) + laws[:, TRIM]) / damping + heading_from_world(s, turn)
     wind = world_from_heading(pushed, turn)
     mean, part = wind.mean(axis=0), np.floor((time[settled] - time[settled][0]) / ALIKE).astype(int)
+    part = np.unique(part, return_inverse=True)[1]  # a part without a pose has no mean
+    if part[-1] < 1:
+        return None
     parts = np.column_stack([np.bincount(part, w) / np.bincount(part) for w in wind.T])
     of_axes = [world_from_heading(pushed * (np.arange(2) == k), turn).mean(axis=0) for k in range(2)]
     missed = [world_from_heading(np.tile(one, (turn.size, 1)), turn).mean(axis=0) for one in np.diag(trims / damping)]
