@@ -1,6 +1,7 @@
 """Drafts of cards: they load and give a flight, or say what they lack."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from rotorfit.core.errors import CardError
 from rotorfit.core.frames import heading_from_world, world_from_heading
 from rotorfit.diagnosis import card_choice
 from rotorfit.diagnosis.card_draft import draft_card, write_draft
+from rotorfit.diagnosis.command_response import answers_of
 from rotorfit.files.cards import builtin_card_text, load_card
 from rotorfit.files.logs import read
 from rotorfit.flights.assemble import flight_from_log
@@ -300,6 +302,25 @@ def test_a_draft_of_a_log_without_position_takes_the_velocity_in_the_frame_that_
     assert 'x = "cmd_x"  # + moves the vehicle forward: ' in text
     expected = np.interp(flight.pose_time, T, true["x"]) - true["x"][0]
     np.testing.assert_allclose(flight.position[:, 0], expected, atol=0.03)
+
+
+def test_the_frame_of_a_velocity_is_told_by_what_is_left_of_it_not_of_the_turning(tmp_path: Path) -> None:
+    """Read in the wrong frame, the commands of x and y move yaw the most, which its own command explains."""
+    rng = np.random.default_rng(4)
+    command = {axis: np.repeat(rng.uniform(-1, 1, T.size // 10), 10) for axis in ("x", "y", "z", "yaw")}
+    velocity = {axis: followed(series) for axis, series in command.items()}
+    yaw = np.cumsum(velocity["yaw"]) * 0.05
+    across = np.stack([velocity["x"], velocity["y"]], axis=1) + rng.normal(0, 0.1, (T.size, 2))
+    across = world_from_heading(across, yaw)
+    columns = {"time": T, "vx": across[:, 0], "vy": across[:, 1], "vz": velocity["z"], "yaw": yaw}
+    log = log_of(flight=columns | {f"cmd_{axis}": series for axis, series in command.items()})
+
+    card = loaded(draft_card(log), tmp_path)
+    wrong = answers_of(flight_from_log(log, replace(card, velocity_frame="heading"))).of["x"]
+
+    assert (card.command_frame, card.velocity_frame) == ("heading", "world")
+    assert wrong.axis is None
+    assert wrong.explained < 0.5
 
 
 def test_a_draft_of_state_packets_of_a_tello_has_its_frame_and_its_decimetres(tmp_path: Path) -> None:

@@ -320,7 +320,8 @@ def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
     """The draft with a velocity without position in the frame that explains it better.
 
     Where commands and velocity share a frame, the motion does not reveal which: then it is the heading frame, as it
-    almost always is for commands. The coefficients are the same.
+    almost always is for commands. The coefficients are the same. A turned velocity has the same sum of squares, so the
+    residuals of the two frames compare.
     """
     found, told = asked.found, asked.answers
     if told is None or told.frame is None or "x" not in found.alone:
@@ -329,12 +330,7 @@ def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
     if other.answers is None:
         return asked
     allowed = BETTER if told.frame == "heading" else 1 / BETTER
-    return other if _left(other.answers) < allowed * _left(told) else asked
-
-
-def _left(told: Answers) -> float:
-    """Unexplained share of the variance of the horizontal velocity, summed over x and y."""
-    return sum(1 - answer.explained for name, answer in told.of.items() if name in ("x", "y"))
+    return other if other.answers.left < allowed * told.left else asked
 
 
 def _better_read(log: Log, asked: _Asked) -> _Asked:

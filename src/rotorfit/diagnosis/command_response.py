@@ -63,8 +63,8 @@ class CommandResponse:
     Attributes:
         axis: The axis that it moves, one of `AXES`; None where none stands out.
         sign: +1 where a positive command moves forward, left, up or counter-clockwise; else -1.
-        certainty: Effect on that axis, in standard errors.
-        explained: Share of the variance of the velocity along that axis explained by all commands together.
+        certainty: Effect on that axis, or where none stands out on the one it is named after, in standard errors.
+        explained: Share of the variance of the velocity along the same axis explained by all commands together.
         lag: Delay plus time constant of the response [s].
         shared: Share of the variance of the command that the other commands explain. Where it is nearly all, the motion
             does not tell the commands apart.
@@ -193,11 +193,13 @@ def _solved(design: Array, target: Array) -> Array:
 
 
 def _answer(fits: list[_Fit], j: int, name: str, shared: float) -> CommandResponse:
-    """The axis that a command moves most significantly."""
+    """The axis that a command moves most significantly; where none stands out, figures of the one it is named after."""
     order = sorted(range(4), key=lambda k: -abs(fits[k].effect[j]))
     first, second = fits[order[0]], fits[order[1]]
     told = float(first.effect[j])
     sure = abs(told) > max(SIGNIFICANT, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
     borne_out = AXES[order[0]] == name and told > 0
     axis = AXES[order[0]] if sure and (borne_out or not shared > SHARED) else None
-    return CommandResponse(axis, int(np.sign(told)), abs(told), first.explained, first.lag, shared)
+    shown = first if axis else fits[AXES.index(name)]
+    told = float(shown.effect[j])
+    return CommandResponse(axis, int(np.sign(told)), abs(told), shown.explained, shown.lag, shared)
