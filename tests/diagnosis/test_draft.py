@@ -15,6 +15,7 @@ from rotorfit.core.frames import heading_from_world, world_from_heading
 from rotorfit.diagnosis import card_choice
 from rotorfit.diagnosis.card_draft import draft_card, write_draft
 from rotorfit.diagnosis.command_response import answers_of
+from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.files.cards import builtin_card_text, load_card
 from rotorfit.files.logs import read
 from rotorfit.flights.assemble import flight_from_log
@@ -473,6 +474,35 @@ def test_a_draft_turns_a_pose_whose_y_is_up(tmp_path: Path) -> None:
     assert {part: card.pose[f"q{part}"].source for part in "wxyz"} == {"w": "qw", "x": "qz", "y": "qx", "z": "qy"}
     assert "y points up by the motion" in text
     assert card.command["z"] == Channel("cmd_z")
+
+
+@pytest.mark.parametrize("names", [("q1", "q2", "q3", "q4"), ("qw", "qx", "qy", "qz")])
+def test_a_draft_takes_w_last_where_only_that_gives_a_heading_that_obeys(names: tuple, tmp_path: Path) -> None:
+    true = raised(1.0)
+    half = true.pop("yaw") / 2
+    rolled = 0.02 * np.sin(3 * T)
+    parts = dict(zip(names, (rolled, -rolled, np.sin(half), np.cos(half)), strict=True))
+    card, text = drafted(true | parts, COMMAND, tmp_path)
+
+    assert [card.pose[f"q{part}"].source for part in "wxyz"] == [names[3], *names[:3]]
+    assert "# w, x, y, z; by the motion: in the order of the names no command turns the vehicle" in text
+    assert {one.scale for one in card.command.values()} == {1}
+
+
+def test_a_card_with_a_quaternion_in_the_wrong_order_is_told_the_right_one(tmp_path: Path) -> None:
+    true = raised(1.0)
+    half = true.pop("yaw") / 2
+    rolled = 0.02 * np.sin(3 * T)
+    pose = true | {"qw": np.cos(half), "qx": rolled, "qy": -rolled, "qz": np.sin(half)}
+    log = log_of(flight={"time": T, **pose, **{f"cmd_{axis}": series for axis, series in COMMAND.items()}})
+    text = draft_card(log)
+    wrong = loaded(text.replace('["qw", "qx", "qy", "qz"]', '["qx", "qy", "qz", "qw"]'), tmp_path)
+
+    told = {one.code: one for one in findings_of_flight(log, flight_from_log(log, wrong))}
+    assert told["quaternion_order"].severity == "error"
+    assert 'quaternion = ["qw", "qx", "qy", "qz"]' in told["quaternion_order"].remedy
+    right = findings_of_flight(log, flight_from_log(log, loaded(text, tmp_path)))
+    assert "quaternion_order" not in {one.code for one in right}
 
 
 def test_a_draft_says_ned_where_the_height_is_named_down() -> None:

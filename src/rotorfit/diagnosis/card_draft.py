@@ -18,7 +18,7 @@ from rotorfit.core.results import Motion
 from rotorfit.core.writing import write_whole
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.command_response import BETTER, SHARED, Answers, CommandResponse, answers_of
-from rotorfit.diagnosis.frame_checks import height_sign, overturned
+from rotorfit.diagnosis.frame_checks import height_sign, other_orders, overturned, turned_by_yaw
 from rotorfit.diagnosis.pose_checks import degrees_turned, position_unit
 from rotorfit.diagnosis.recognition import (
     Recognised,
@@ -106,7 +106,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
             if axis not in found.alone
         ),
         *([f"# {', '.join(found.alone)}: only the velocity, below"] if found.alone else []),
-        _quaternion_line(pose)
+        _quaternion_line(pose, found.remarks.get("qw", ""))
         if _is_whole(pose)
         else _line("yaw", pose.channels.get("yaw"), found.remarks.get("yaw", "")),
         "",
@@ -194,12 +194,12 @@ def _line(key: str, channel: Channel | None, said: str = "") -> str:
     return f"{key} = {value}" + (f"  # {'; '.join(remarks)}" if remarks else "")
 
 
-def _quaternion_line(pose: Recognised) -> str:
+def _quaternion_line(pose: Recognised, said: str) -> str:
     names = [str(pose.channels[f"q{part}"].source) for part in "wxyz"]
     prefix = names[0].removesuffix(".w")
     if names == [f"{prefix}.{part}" for part in "wxyz"]:
         return f"quaternion = {_quoted(prefix)}"
-    return f"quaternion = [{', '.join(_quoted(name) for name in names)}]  # w, x, y, z"
+    return f"quaternion = [{', '.join(_quoted(name) for name in names)}]  # w, x, y, z" + f"; {said}" * bool(said)
 
 
 CLEARER = 0.7
@@ -231,7 +231,7 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     if name:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
-    asked = _upright(log, _in_degrees(log, _asked(log, found_in(log))))
+    asked = _upright(log, _in_the_better_order(log, _in_degrees(log, _asked(log, found_in(log)))))
     asked = _better_read(log, _in_the_better_frame(log, asked))
     found, told = asked.found, asked.answers
     if told is None:
@@ -302,6 +302,16 @@ def _in_degrees(log: Log, asked: _Asked) -> _Asked:
         return asked
     why = f"yaw is in degrees by the motion: in radians it turns with {rate:.2g} rad/s (RMS), too much for any vehicle"
     return _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
+
+
+def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
+    """The draft with the parts of the quaternion in the order in which the command of yaw turns it."""
+    found, told = asked.found, asked.answers
+    if told is None or not _is_whole(found.pose) or turned_by_yaw(told) or "yaw" not in told.of:
+        return asked
+    why = "by the motion: in the order of the names no command turns the vehicle; EDIT if that is not so"
+    others = (_asked(log, _read(found, why, **parts)) for parts in other_orders(found.pose.channels))
+    return next((other for other in others if other.answers and turned_by_yaw(other.answers)), asked)
 
 
 def _upright(log: Log, asked: _Asked) -> _Asked:
@@ -376,7 +386,7 @@ def _readings(found: DraftContents) -> Iterator[DraftContents]:
 def _read(found: DraftContents, why: str, **channels: Channel) -> DraftContents:
     """The same draft with channels of the pose changed."""
     pose = replace(found.pose, channels={**found.pose.channels, **channels})
-    return replace(found, pose=pose, remarks={next(iter(channels)): why})
+    return replace(found, pose=pose, remarks={**found.remarks, next(iter(channels)): why})
 
 
 def _turned(channel: Channel) -> Channel:
