@@ -18,6 +18,7 @@ from rotorfit.diagnosis.command_response import answers_of
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.files.cards import builtin_card_text, load_card
 from rotorfit.files.logs import read
+from rotorfit.files.logs.several import join_logs
 from rotorfit.flights.assemble import flight_from_log
 
 # Drafts
@@ -265,6 +266,20 @@ def test_a_draft_takes_the_heading_of_another_table_and_names_states_and_referen
     assert '[reference]\nx = "velocity_setpoint:x"' in text
     assert '[[window]]  # commands count while this holds\nwhen = "state:armed"' in text
     assert "INCOMPLETE" not in text
+
+
+@pytest.mark.parametrize(("kind", "up"), [("motive", "y"), ("vicon", "z")])
+def test_the_body_of_motion_capture_is_found_beside_the_log_of_the_commands(kind: str, up: str) -> None:
+    parts = [f"position_{axis}" for axis in "xyz"] + [f"rotation_{part}" for part in "wxyz"]
+    body = replace(log_of("take.csv", take={"time": T, **{f"drone.{part}": 0 * T + 1 for part in parts}}), format=kind)
+    commands = log_of("own.csv", own={"time": T, **{f"cmd_{axis}": series for axis, series in COMMAND.items()}})
+
+    for logs in ([commands, body], [body, commands]):
+        text = draft_card(join_logs(logs))
+
+        assert "INCOMPLETE" not in text
+        assert f'\nz = "take:drone.position_{up}"' in text
+        assert ("# Motive has y up" in text) == (kind == "motive")
 
 
 # The vehicle's own velocity

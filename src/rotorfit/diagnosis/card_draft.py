@@ -24,6 +24,7 @@ from rotorfit.diagnosis.recognition import (
     Recognised,
     commands_in,
     is_down,
+    is_of_motive,
     is_of_tello,
     is_of_the_body,
     pose_in,
@@ -35,6 +36,7 @@ from rotorfit.diagnosis.recognition import (
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.files.cards import builtin_card_text, card_from_mapping
 from rotorfit.files.logs.formats import FORMATS
+from rotorfit.files.logs.several import format_of
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import shape_text, source_of
 
@@ -98,7 +100,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         "# meaning: tilt, velocity, vertical_speed or yaw_rate; full_scale: the limit that a command of 1 asks for",
         "",
         "[pose]",
-        *(["# Motive has y up: the axes are permuted cyclically"] * (log.format == "motive")),
+        *(["# Motive has y up: the axes are permuted cyclically"] * is_of_motive(log, pose)),
         _line("time", pose.time),
         *(
             _line(axis, pose.channels.get(axis), found.remarks.get(axis, ""))
@@ -150,7 +152,9 @@ def _pose_frame(log: Log, velocity: Recognised, pose: Recognised) -> tuple[str, 
         return "NED", 'of the pose, by its names; "ENU" where z points up'
     if is_of_tello(log, velocity):
         return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
-    if log.format in FORMATS and FORMATS[log.format].ned:
+    table = pose.table or velocity.table
+    kind = FORMATS.get(format_of(log, table) if table else log.format)
+    if kind and kind.ned:
         return "NED", 'as autopilots have it; "ENU" where z points up'
     return "ENU", 'of the pose; "NED" where z points down'
 

@@ -9,6 +9,7 @@ import numpy as np
 from rotorfit.core.card import Channel
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
+from rotorfit.files.logs.several import format_of
 from rotorfit.flights.columns import (
     clock_of,
     clocks,
@@ -121,9 +122,9 @@ def commands_in(log: Log) -> Recognised:
 
 def pose_in(log: Log) -> Recognised:
     """Quantity to column of the pose, by name; with several tables the heading may come from another table."""
-    if log.format in ("motive", "vicon"):
-        body = _recognised(log, lambda _, table: _named(table, _BODY))
-        return z_up(body) if log.format == "motive" else body
+    body = _recognised(log, _body)
+    if body.channels:
+        return z_up(body) if is_of_motive(log, body) else body
     pose = _recognised(log, _pose)
     if not pose.channels.keys() & {"x", "y", "z"} or pose.channels.keys() & {"yaw", "qw"} or len(log.tables) == 1:
         return pose
@@ -131,6 +132,11 @@ def pose_in(log: Log) -> Recognised:
     if not pose.channels:
         return heading  # the only pose information where only velocities are logged
     return replace(pose, channels={**pose.channels, **heading.channels})
+
+
+def is_of_motive(log: Log, pose: Recognised) -> bool:
+    """Whether a pose is from an export of Motive, whose y is up."""
+    return pose.table is not None and format_of(log, pose.table) == "motive"
 
 
 def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
@@ -250,7 +256,7 @@ def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> R
 
 def _unit(log: Log, table: Table, name: str) -> str | None:
     """The unit in a name, or that of the message: NTUN of ArduPilot is in cm. Source: its Log.cpp up to 3.6."""
-    if log.format.startswith("dataflash") and table.name == "NTUN":
+    if format_of(log, table.name).startswith("dataflash") and table.name == "NTUN":
         return "cm" if name.startswith("Pos") else "cm/s" if "Vel" in name else None
     return unit_of_name(name)
 
@@ -261,8 +267,8 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
     twist |= {"yaw": "(?:twist_)?angular_z"}
     families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
     families.append(_named(table, _DEMAND))
-    if log.format.startswith("dataflash"):  # its DesRoll, DesPitch, DesYaw are setpoints of the inner angle loops
-        families = families[-1:]
+    if format_of(log, table.name).startswith("dataflash"):
+        families = families[-1:]  # its DesRoll, DesPitch, DesYaw are setpoints of the inner angle loops
     if _asked(log, table):
         families.append(_named(table, _SETPOINT))
     if (len(log.tables) > 1 or _asked(log, table)) and not _named(table, _POSE).keys() & {"x", "y", "z"}:
@@ -274,6 +280,11 @@ def _family(word: str, speed: str) -> dict[str, str]:
     """Patterns of the axes' names before or after a word that means command."""
     axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
     return {axis: f"{word}_?(?:{names})|(?:{names})_?{word}" for axis, names in axes.items()}
+
+
+def _body(log: Log, table: Table) -> dict[str, str]:
+    """Quantity to column of a rigid body, in exports of motion capture only: elsewhere such names may be anything."""
+    return _named(table, _BODY) if format_of(log, table.name) in ("motive", "vicon") else {}
 
 
 def _pose(log: Log, table: Table) -> dict[str, str]:
