@@ -63,6 +63,16 @@ def test_a_draft_for_ros_messages_loads_and_gives_the_flight(
         {"cmd_x": "vx_ref", "cmd_y": "vy_ref", "cmd_z": "vz_ref", "cmd_yaw": "yaw_rate_ref", "time": "Time"},
         {"cmd_x": "cmd_vel.linear.x", "cmd_y": "cmd_vel.linear.y", "cmd_z": "cmd_vel.linear.z"}
         | {"cmd_yaw": "cmd_vel.angular.z", "x": "pose.position.x", "y": "pose.position.y", "z": "pose.position.z"},
+        {"cmd_x": "ctrltarget.vx", "cmd_y": "ctrltarget.vy", "cmd_z": "ctrltarget.vz", "cmd_yaw": "ctrltarget.yaw"}
+        | {"x": "stateEstimate.x", "y": "stateEstimate.y", "z": "stateEstimate.z", "yaw": "stabilizer.yaw"},
+        {"x": "kalman.stateX", "y": "kalman.stateY", "z": "kalman.stateZ", "yaw": "yaw_est", "time": "TimeStamp"},
+        {"x": "lighthouse.x", "y": "lighthouse.y", "z": "lighthouse.z", "yaw": "stateEstimate.yaw", "time": "t_sec"},
+        {"cmd_x": "fb", "cmd_y": "lr", "cmd_z": "ud", "cmd_yaw": "yv", "time": "unix_time"},
+        {"cmd_x": "rc_fb", "cmd_y": "rc_lr", "cmd_z": "rc_ud", "cmd_yaw": "rc_yaw", "time": "monotonic"},
+        {"cmd_x": "forward_backward_velocity", "cmd_y": "left_right_velocity", "cmd_z": "up_down_velocity"}
+        | {"cmd_yaw": "yaw_velocity", "time": "host_time"},
+        {"cmd_x": "vx", "cmd_y": "vy", "cmd_z": "vz", "cmd_yaw": "yawrate", "time": "ts"},
+        *({"time": name} for name in ("epoch", "datetime", "rostime", "clock")),
     ],
 )
 def test_a_draft_for_a_table_of_ones_own_finds_what_the_names_say(names: dict, tmp_path: Path) -> None:
@@ -80,6 +90,28 @@ def test_a_draft_for_a_table_of_ones_own_finds_what_the_names_say(names: dict, t
         axis: names.get(axis, axis) for axis in ("x", "y", "z", "yaw")
     }
     assert flight_from_log(log, card).duration == pytest.approx(29.98, abs=0.1)
+
+
+def test_velocities_beside_a_position_are_commands_only_if_the_vehicle_does_not_follow_at_once(tmp_path: Path) -> None:
+    true = raised(1.0)
+    measured = {f"v{axis}": np.gradient(true[axis], T) for axis in "xyz"} | {"yawrate": np.gradient(true["yaw"], T)}
+    told = {f"v{axis}": COMMAND[axis] for axis in "xyz"} | {"yawrate": COMMAND["yaw"]}
+
+    commanded = draft_card(log_of(flight={"time": T, **true, **told}))
+    of_the_vehicle = draft_card(log_of(flight={"time": T, **true, **measured}))
+
+    assert "# EDIT: nothing else looks like commands" in commanded
+    assert "[velocity]" not in commanded
+    assert loaded(commanded, tmp_path).command["yaw"].source == "yawrate"
+    assert "INCOMPLETE: nothing was recognised for [command] x, y, z or yaw." in of_the_vehicle
+    assert "[velocity]" in of_the_vehicle
+
+
+def test_a_turn_rate_or_a_velocity_of_a_filter_is_neither_a_command_nor_a_position() -> None:
+    names = {f"cmd_{axis}": f"a{axis}" for axis in "xyz"} | {axis: f"kalman.stateP{axis.upper()}" for axis in "xyz"}
+    text = draft_card(csv_log(**names, cmd_yaw="yaw_velocity"))
+
+    assert "INCOMPLETE: nothing was recognised for [command] x, y, z or yaw; [pose] x; [pose] y; [pose] z" in text
 
 
 def test_units_come_from_names_and_from_values(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from rotorfit.core.plain import line_of, plain_toml, toml_text, visible
 from rotorfit.core.results import Motion
 from rotorfit.core.writing import write_whole
 from rotorfit.diagnosis.card_choice import proposal
-from rotorfit.diagnosis.command_response import BETTER, SHARED, Answers, CommandResponse, answers_of
+from rotorfit.diagnosis.command_response import BETTER, QUICKEST, SHARED, Answers, CommandResponse, answers_of
 from rotorfit.diagnosis.frame_checks import height_sign, other_orders, overturned, turned_by_yaw
 from rotorfit.diagnosis.pose_checks import degrees_turned, position_unit
 from rotorfit.diagnosis.recognition import (
@@ -29,6 +29,7 @@ from rotorfit.diagnosis.recognition import (
     is_of_the_body,
     pose_in,
     reference_in,
+    velocities_as_commands,
     velocity_in,
     windows_in,
     z_up,
@@ -54,6 +55,7 @@ class DraftContents:
         pose_frame: `ENU` or `NED`.
         pose_remark: Reason for the frame, appended to its line.
         remarks: Remarks appended to other lines of the pose, by quantity.
+        doubted: Whether the commands may be the vehicle's own velocity, judging by their names.
     """
 
     commands: Recognised
@@ -64,6 +66,7 @@ class DraftContents:
     pose_frame: str
     pose_remark: str
     remarks: Mapping[str, str] = field(default_factory=dict)
+    doubted: bool = False
 
     @property
     def alone(self) -> list[str]:
@@ -71,15 +74,23 @@ class DraftContents:
         return [axis for axis in "xyz" if axis in self.velocity.channels and axis not in self.pose.channels]
 
 
-def found_in(log: Log) -> DraftContents:
-    """Contents of a draft according to the names in a log."""
-    commands, pose = commands_in(log), pose_in(log)
+def found_in(log: Log, guess: bool = True) -> DraftContents:
+    """Contents of a draft according to the names in a log.
+
+    Args:
+        log: As recorded.
+        guess: Whether columns named like velocities may be commands where nothing else is.
+    """
+    commands, pose, doubted = commands_in(log), pose_in(log), False
+    if guess and not commands.channels and (named := velocities_as_commands(log, pose)).channels:
+        commands, doubted = named, True
     velocity = velocity_in(log, commands, pose)
     if is_of_tello(log, velocity):
         dm = {axis: replace(channel, scale=10.0, unit="cm/s") for axis, channel in velocity.channels.items()}
         velocity = replace(velocity, channels=dm)
     of_velocity = "heading" if is_of_the_body(velocity) else "world"
-    return DraftContents(commands, pose, velocity, "heading", of_velocity, *_pose_frame(log, velocity, pose))
+    frame, remark = _pose_frame(log, velocity, pose)
+    return DraftContents(commands, pose, velocity, "heading", of_velocity, frame, remark, doubted=doubted)
 
 
 def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: str = "") -> str:
@@ -92,6 +103,10 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         f'frame = "{found.pose_frame}"  # {found.pose_remark}',
         "",
         "[command]",
+        *(
+            ["# EDIT: nothing else looks like commands, but by their names they may be the vehicle's own velocity"]
+            * found.doubted
+        ),
         f'frame = "{found.frame}"  # "world" where x and y do not turn with the vehicle',
         "# hold = 0.3  # s that a command acts without a successor; default: three median periods",
         _line("time", commands.time),
@@ -236,7 +251,7 @@ def draft_card(log: Log, fresh: bool = False) -> str:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
     asked = _upright(log, _in_the_better_order(log, _in_degrees(log, _asked(log, found_in(log)))))
-    asked = _better_read(log, _in_the_better_frame(log, asked))
+    asked = _commanded(log, _better_read(log, _in_the_better_frame(log, asked)))
     found, told = asked.found, asked.answers
     if told is None:
         return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
@@ -368,6 +383,14 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
     least = min((one.answers.left for one in better if one.answers), default=0.0)
     sound = [(_odd(one.answers), one) for one in better if one.answers and CLEARER * one.answers.left <= least]
     return min(sound, key=lambda pair: pair[0])[1] if sound else asked
+
+
+def _commanded(log: Log, asked: _Asked) -> _Asked:
+    """The draft without doubtful commands if the vehicle follows them at once: then they are its own velocity."""
+    found, told = asked.found, asked.answers
+    if told is None or not found.doubted or any(told.of[axis].lag > QUICKEST for axis in told.of.keys() & {"x", "y"}):
+        return asked
+    return _Asked(found_in(log, guess=False), None)
 
 
 def _odd(told: Answers) -> int:

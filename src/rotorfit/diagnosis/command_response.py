@@ -22,6 +22,9 @@ DELAYS = np.arange(0.0, 0.41, 0.1)
 CONSTANTS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Time constants that are tried [s]: from a stiff velocity loop to the drag of a vehicle commanded by its tilt."""
 
+QUICKEST = float(DELAYS[0]) + CONSTANTS[0]
+"""Least lag that is tried [s]: what has it horizontally is no response of a vehicle, which leans first."""
+
 GRID = 0.02
 """Step of the grid on which commands are smoothed [s]."""
 

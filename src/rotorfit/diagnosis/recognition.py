@@ -26,7 +26,7 @@ from rotorfit.flights.stamps import degrees_for_radians, increasing, stamps_of
 _COMMAND_FAMILIES = (
     ("(?:cmd_vel|cmd|command)", "(?:v_?)?"),
     ("(?:u|input|ctrl|control)", "(?:v_?)?"),
-    ("(?:ref|setpoint|sp|des|desired|target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
+    ("(?:ref|setpoint|sp|des|desired|(?:ctrl)?target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
     ("(?:pct|percent|stick)", "(?:v_?)?"),
 )
 
@@ -46,16 +46,26 @@ _FORWARD, _LEFT, _UP = (
     "lin_?z|linear_z|ve|climb|up|throttle|thrust",
 )
 
-_PLACE = "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|state|odom|drone|body)_?)*"
+_STICKS = {
+    "x": "(?:rc_)?fb|forward_backward(?:_velocity)?",
+    "y": "(?:rc_)?lr|left_right(?:_velocity)?",
+    "z": "(?:rc_)?ud|up_down(?:_velocity)?",
+    "yaw": "(?:rc_)?yv|rc_yaw|yaw_velocity",  # which alone may be measured
+}
+
+_PLACE = (
+    "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|lighthouse|state|estimate|odom|drone|"
+    "body|stabilizer|kalman_state(?!_p))_?)*"  # kalman.statePX is a velocity
+)
 
 _NED = {"x": "pn|north", "y": "pe|east", "z": "pd|down"}
 
 _POSE = {
-    axis: f"{_PLACE}{axis}|{axis}_?(?:pos|position|opt|mocap|u)|(?:position|pos)_{i}|{_NED[axis]}"
+    axis: f"{_PLACE}{axis}|{axis}_?(?:pos|position|opt|mocap|est|u)|(?:position|pos)_{i}|{_NED[axis]}"
     for i, axis in enumerate("xyz")
 }
 
-_HEADING = {"yaw": f"{_PLACE}(?:yaw|psi|heading)|(?:yaw|psi)_?(?:pos|opt|mocap)"}
+_HEADING = {"yaw": f"{_PLACE}(?:yaw|psi|heading)|(?:yaw|psi)_?(?:pos|opt|mocap|est)"}
 
 _HEADING |= {
     f"q{part}": f"{_PLACE}(?:(?:orientation|rotation|quaternion|quat|q)_?{part}|q_{i}|q{i + 1})"
@@ -83,7 +93,7 @@ _VELOCITIES = (
 
 _OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
 
-_GOAL = "(?:ref|reference|goal|des|desired|target|setpoint|sp)"
+_GOAL = "(?:ref|reference|goal|des|desired|(?:ctrl)?target|setpoint|sp)"
 
 _REFERENCE = {axis: f"{_GOAL}_?{axis}|{axis}_?{_GOAL}" for axis in AXES}
 
@@ -118,6 +128,19 @@ class Recognised:
 def commands_in(log: Log) -> Recognised:
     """Axis to column of the commands, by name."""
     return _recognised(log, _commands)
+
+
+def velocities_as_commands(log: Log, pose: Recognised) -> Recognised:
+    """Commands named like velocities (vx, vy, yawrate) beside the position, as scripts for a Crazyflie log them.
+
+    By their names they may as well be the vehicle's own velocity.
+    """
+
+    def names_in(_: Log, table: Table) -> dict[str, str]:
+        found = _named(table, _SETPOINT) if table.name == pose.table else {}
+        return found if {"x", "y", "yaw"} <= found.keys() and {"x", "y", "z"} <= pose.channels.keys() else {}
+
+    return _recognised(log, names_in)
 
 
 def pose_in(log: Log) -> Recognised:
@@ -266,7 +289,8 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
     twist = {"x": "(?:twist_)?linear_x", "y": "(?:twist_)?linear_y", "z": "(?:twist_)?linear_z"}
     twist |= {"yaw": "(?:twist_)?angular_z"}
     families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
-    families.append(_named(table, _DEMAND))
+    sticks = _named(table, _STICKS)
+    families += [sticks if {"x", "y"} <= sticks.keys() else {}, _named(table, _DEMAND)]
     if format_of(log, table.name).startswith("dataflash"):
         families = families[-1:]  # its DesRoll, DesPitch, DesYaw are setpoints of the inner angle loops
     if _asked(log, table):

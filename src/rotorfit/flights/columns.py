@@ -269,7 +269,11 @@ def _row(values: Column, row: int, count: int | None, what: str) -> Column:
     return series
 
 
-_CLOCKS = ("header_stamp", "log_time", "time", "t", "timestamp", "stamp", "seconds", "secs", "elapsed")
+_CLOCKS = (
+    *("header_stamp", "log_time", "time", "t", "timestamp", "stamp", "seconds", "secs", "elapsed", "time_stamp"),
+    *("t_sec", "time_sec", "unix_time", "epoch", "datetime", "rostime", "ros_time", "host_time", "ts", "monotonic"),
+    "clock",
+)
 
 _FEW_ROWS = 8  # quaternions, vectors, sticks
 
