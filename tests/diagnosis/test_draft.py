@@ -146,9 +146,11 @@ def test_references_of_a_position_are_not_taken_for_commands() -> None:
     assert "INCOMPLETE: nothing was recognised for [command] x, y, z or yaw" in text
 
 
-def test_a_draft_says_whether_it_names_a_command(tmp_path: Path) -> None:
-    assert write_draft(csv_log(), tmp_path / "whole.toml")
-    assert not write_draft(csv_log(cmd_x="a", cmd_y="b", cmd_z="c", cmd_yaw=""), tmp_path / "poses.toml")
+def test_a_written_draft_says_what_it_lacks(tmp_path: Path) -> None:
+    assert write_draft(csv_log(), tmp_path / "whole.toml") == ()
+    log = csv_log(cmd_x="a", cmd_y="b", cmd_z="c", cmd_yaw="")
+    assert write_draft(log, tmp_path / "poses.toml") == ("[command] x, y, z or yaw",)
+    assert write_draft(csv_log(z="up", yaw=""), tmp_path / "plane.toml") == ("[pose] z", "[pose] yaw or quaternion")
 
 
 def test_a_draft_that_lacks_essentials_says_which_and_lists_the_columns(tmp_path: Path) -> None:

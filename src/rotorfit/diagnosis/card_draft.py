@@ -178,12 +178,18 @@ def _window_lines(source: str, says: str) -> list[str]:
     return ["[[window]]  # commands count while this holds", f"when = {_quoted(source)}", *says.splitlines(), ""]
 
 
+NO_COMMAND = "[command] x, y, z or yaw"
+"""What a draft lacks that names no command: without one nothing can be fitted."""
+
+_INCOMPLETE = "# INCOMPLETE: nothing was recognised for "
+
+
 def _heading(log: Log, found: DraftContents) -> list[str]:
     """The head of the draft: what to check, and what is missing."""
     pose = found.pose
     there = {
         "[command] time": found.commands.time is not None,
-        "[command] x, y, z or yaw": bool(found.commands.channels),
+        NO_COMMAND: bool(found.commands.channels),
         "[pose] time": pose.time is not None,
         **{f"[pose] {axis}": axis in pose.channels or axis in found.alone for axis in "xyz"},
         "[pose] yaw or quaternion": _is_whole(pose) or "yaw" in pose.channels,
@@ -192,10 +198,7 @@ def _heading(log: Log, found: DraftContents) -> list[str]:
     return [
         f"# Drafted from the names in {visible(log.path.name)}. Check every line, the signs of the commands above all:",
         "# after scale, + must mean forward, left, up, and counter-clockwise seen from above.",
-        *(
-            [f"# INCOMPLETE: nothing was recognised for {'; '.join(missing)}. Fill in the lines marked EDIT."]
-            * bool(missing)
-        ),
+        *([f"{_INCOMPLETE}{'; '.join(missing)}. Fill in the lines marked EDIT."] * bool(missing)),
     ]
 
 
@@ -464,11 +467,11 @@ def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) ->
     return f"+ {'turns' if axis == 'yaw' else 'moves'} the vehicle {_DIRECTIONS[frame][axis]}{renamed}: {figures}"
 
 
-def write_draft(log: Log, path: Path, fresh: bool = False) -> bool:
+def write_draft(log: Log, path: Path, fresh: bool = False) -> tuple[str, ...]:
     """Writes the draft of a card to a new file; see `draft_card` for the arguments.
 
     Returns:
-        Whether it names a command: without one nothing can be fitted.
+        The essentials that it lacks, as its head lists them.
 
     Raises:
         CardError: The file already exists: it may be a card that somebody has edited.
@@ -478,5 +481,5 @@ def write_draft(log: Log, path: Path, fresh: bool = False) -> bool:
         raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it")
     text = draft_card(log, fresh)
     write_whole(path, text, keep=False)
-    commands = text.partition("[command]\n")[2].partition("[pose]\n")[0]
-    return not all(_line(axis, None) in commands for axis in AXES)
+    missing = text.partition(_INCOMPLETE)[2].partition(".")[0]
+    return tuple(filter(None, missing.split("; ")))
