@@ -471,6 +471,15 @@ def test_info_of_a_log_without_a_card_says_how_to_go_on(tmp_path: Path) -> None:
     assert "then rotorfit fit" not in drafted
 
 
+def test_info_of_an_incomplete_draft_says_what_to_fill_in_before_a_fit(tmp_path: Path) -> None:
+    log, card = tmp_path / "own.csv", tmp_path / "card.toml"
+    log.write_text("t,cmd_x,x,y,yaw\n" + "\n".join(f"{k / 10},{k % 7},{k},{k},0" for k in range(50)))
+
+    drafted = done("info", log, "--draft-card", card)
+
+    assert f"fill in [pose] z in the lines marked EDIT, check every line, then rotorfit fit {log}" in drafted
+
+
 def test_a_drafted_card_fits_the_log(folder: Path, tmp_path: Path) -> None:
     card = tmp_path / "card.toml"
     found = json_of("info", folder / "first.bag", "--draft-card", card)

@@ -1,6 +1,7 @@
 """Drafts of cards: they load and give a flight, or say what they lack."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,11 @@ from rotorfit.core.errors import CardError
 from rotorfit.core.frames import heading_from_world, world_from_heading
 from rotorfit.diagnosis import card_choice
 from rotorfit.diagnosis.card_draft import draft_card, write_draft
+from rotorfit.diagnosis.command_response import answers_of
+from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.files.cards import builtin_card_text, load_card
 from rotorfit.files.logs import read
+from rotorfit.files.logs.several import join_logs
 from rotorfit.flights.assemble import flight_from_log
 
 # Drafts
@@ -59,6 +63,16 @@ def test_a_draft_for_ros_messages_loads_and_gives_the_flight(
         {"cmd_x": "vx_ref", "cmd_y": "vy_ref", "cmd_z": "vz_ref", "cmd_yaw": "yaw_rate_ref", "time": "Time"},
         {"cmd_x": "cmd_vel.linear.x", "cmd_y": "cmd_vel.linear.y", "cmd_z": "cmd_vel.linear.z"}
         | {"cmd_yaw": "cmd_vel.angular.z", "x": "pose.position.x", "y": "pose.position.y", "z": "pose.position.z"},
+        {"cmd_x": "ctrltarget.vx", "cmd_y": "ctrltarget.vy", "cmd_z": "ctrltarget.vz", "cmd_yaw": "ctrltarget.yaw"}
+        | {"x": "stateEstimate.x", "y": "stateEstimate.y", "z": "stateEstimate.z", "yaw": "stabilizer.yaw"},
+        {"x": "kalman.stateX", "y": "kalman.stateY", "z": "kalman.stateZ", "yaw": "yaw_est", "time": "TimeStamp"},
+        {"x": "lighthouse.x", "y": "lighthouse.y", "z": "lighthouse.z", "yaw": "stateEstimate.yaw", "time": "t_sec"},
+        {"cmd_x": "fb", "cmd_y": "lr", "cmd_z": "ud", "cmd_yaw": "yv", "time": "unix_time"},
+        {"cmd_x": "rc_fb", "cmd_y": "rc_lr", "cmd_z": "rc_ud", "cmd_yaw": "rc_yaw", "time": "monotonic"},
+        {"cmd_x": "forward_backward_velocity", "cmd_y": "left_right_velocity", "cmd_z": "up_down_velocity"}
+        | {"cmd_yaw": "yaw_velocity", "time": "host_time"},
+        {"cmd_x": "vx", "cmd_y": "vy", "cmd_z": "vz", "cmd_yaw": "yawrate", "time": "ts"},
+        *({"time": name} for name in ("epoch", "datetime", "rostime", "clock")),
     ],
 )
 def test_a_draft_for_a_table_of_ones_own_finds_what_the_names_say(names: dict, tmp_path: Path) -> None:
@@ -76,6 +90,28 @@ def test_a_draft_for_a_table_of_ones_own_finds_what_the_names_say(names: dict, t
         axis: names.get(axis, axis) for axis in ("x", "y", "z", "yaw")
     }
     assert flight_from_log(log, card).duration == pytest.approx(29.98, abs=0.1)
+
+
+def test_velocities_beside_a_position_are_commands_only_if_the_vehicle_does_not_follow_at_once(tmp_path: Path) -> None:
+    true = raised(1.0)
+    measured = {f"v{axis}": np.gradient(true[axis], T) for axis in "xyz"} | {"yawrate": np.gradient(true["yaw"], T)}
+    told = {f"v{axis}": COMMAND[axis] for axis in "xyz"} | {"yawrate": COMMAND["yaw"]}
+
+    commanded = draft_card(log_of(flight={"time": T, **true, **told}))
+    of_the_vehicle = draft_card(log_of(flight={"time": T, **true, **measured}))
+
+    assert "# EDIT: nothing else looks like commands" in commanded
+    assert "[velocity]" not in commanded
+    assert loaded(commanded, tmp_path).command["yaw"].source == "yawrate"
+    assert "INCOMPLETE: nothing was recognised for [command] x, y, z or yaw." in of_the_vehicle
+    assert "[velocity]" in of_the_vehicle
+
+
+def test_a_turn_rate_or_a_velocity_of_a_filter_is_neither_a_command_nor_a_position() -> None:
+    names = {f"cmd_{axis}": f"a{axis}" for axis in "xyz"} | {axis: f"kalman.stateP{axis.upper()}" for axis in "xyz"}
+    text = draft_card(csv_log(**names, cmd_yaw="yaw_velocity"))
+
+    assert "INCOMPLETE: nothing was recognised for [command] x, y, z or yaw; [pose] x; [pose] y; [pose] z" in text
 
 
 def test_units_come_from_names_and_from_values(tmp_path: Path) -> None:
@@ -110,9 +146,11 @@ def test_references_of_a_position_are_not_taken_for_commands() -> None:
     assert "INCOMPLETE: nothing was recognised for [command] x, y, z or yaw" in text
 
 
-def test_a_draft_says_whether_it_names_a_command(tmp_path: Path) -> None:
-    assert write_draft(csv_log(), tmp_path / "whole.toml")
-    assert not write_draft(csv_log(cmd_x="a", cmd_y="b", cmd_z="c", cmd_yaw=""), tmp_path / "poses.toml")
+def test_a_written_draft_says_what_it_lacks(tmp_path: Path) -> None:
+    assert write_draft(csv_log(), tmp_path / "whole.toml") == ()
+    log = csv_log(cmd_x="a", cmd_y="b", cmd_z="c", cmd_yaw="")
+    assert write_draft(log, tmp_path / "poses.toml") == ("[command] x, y, z or yaw",)
+    assert write_draft(csv_log(z="up", yaw=""), tmp_path / "plane.toml") == ("[pose] z", "[pose] yaw or quaternion")
 
 
 def test_a_draft_that_lacks_essentials_says_which_and_lists_the_columns(tmp_path: Path) -> None:
@@ -264,6 +302,20 @@ def test_a_draft_takes_the_heading_of_another_table_and_names_states_and_referen
     assert "INCOMPLETE" not in text
 
 
+@pytest.mark.parametrize(("kind", "up"), [("motive", "y"), ("vicon", "z")])
+def test_the_body_of_motion_capture_is_found_beside_the_log_of_the_commands(kind: str, up: str) -> None:
+    parts = [f"position_{axis}" for axis in "xyz"] + [f"rotation_{part}" for part in "wxyz"]
+    body = replace(log_of("take.csv", take={"time": T, **{f"drone.{part}": 0 * T + 1 for part in parts}}), format=kind)
+    commands = log_of("own.csv", own={"time": T, **{f"cmd_{axis}": series for axis, series in COMMAND.items()}})
+
+    for logs in ([commands, body], [body, commands]):
+        text = draft_card(join_logs(logs))
+
+        assert "INCOMPLETE" not in text
+        assert f'\nz = "take:drone.position_{up}"' in text
+        assert ("# Motive has y up" in text) == (kind == "motive")
+
+
 # The vehicle's own velocity
 
 
@@ -300,6 +352,25 @@ def test_a_draft_of_a_log_without_position_takes_the_velocity_in_the_frame_that_
     assert 'x = "cmd_x"  # + moves the vehicle forward: ' in text
     expected = np.interp(flight.pose_time, T, true["x"]) - true["x"][0]
     np.testing.assert_allclose(flight.position[:, 0], expected, atol=0.03)
+
+
+def test_the_frame_of_a_velocity_is_told_by_what_is_left_of_it_not_of_the_turning(tmp_path: Path) -> None:
+    """Read in the wrong frame, the commands of x and y move yaw the most, which its own command explains."""
+    rng = np.random.default_rng(4)
+    command = {axis: np.repeat(rng.uniform(-1, 1, T.size // 10), 10) for axis in ("x", "y", "z", "yaw")}
+    velocity = {axis: followed(series) for axis, series in command.items()}
+    yaw = np.cumsum(velocity["yaw"]) * 0.05
+    across = np.stack([velocity["x"], velocity["y"]], axis=1) + rng.normal(0, 0.1, (T.size, 2))
+    across = world_from_heading(across, yaw)
+    columns = {"time": T, "vx": across[:, 0], "vy": across[:, 1], "vz": velocity["z"], "yaw": yaw}
+    log = log_of(flight=columns | {f"cmd_{axis}": series for axis, series in command.items()})
+
+    card = loaded(draft_card(log), tmp_path)
+    wrong = answers_of(flight_from_log(log, replace(card, velocity_frame="heading"))).of["x"]
+
+    assert (card.command_frame, card.velocity_frame) == ("heading", "world")
+    assert wrong.axis is None
+    assert wrong.explained < 0.5
 
 
 def test_a_draft_of_state_packets_of_a_tello_has_its_frame_and_its_decimetres(tmp_path: Path) -> None:
@@ -452,6 +523,35 @@ def test_a_draft_turns_a_pose_whose_y_is_up(tmp_path: Path) -> None:
     assert {part: card.pose[f"q{part}"].source for part in "wxyz"} == {"w": "qw", "x": "qz", "y": "qx", "z": "qy"}
     assert "y points up by the motion" in text
     assert card.command["z"] == Channel("cmd_z")
+
+
+@pytest.mark.parametrize("names", [("q1", "q2", "q3", "q4"), ("qw", "qx", "qy", "qz")])
+def test_a_draft_takes_w_last_where_only_that_gives_a_heading_that_obeys(names: tuple, tmp_path: Path) -> None:
+    true = raised(1.0)
+    half = true.pop("yaw") / 2
+    rolled = 0.02 * np.sin(3 * T)
+    parts = dict(zip(names, (rolled, -rolled, np.sin(half), np.cos(half)), strict=True))
+    card, text = drafted(true | parts, COMMAND, tmp_path)
+
+    assert [card.pose[f"q{part}"].source for part in "wxyz"] == [names[3], *names[:3]]
+    assert "# w, x, y, z; by the motion: in the order of the names no command turns the vehicle" in text
+    assert {one.scale for one in card.command.values()} == {1}
+
+
+def test_a_card_with_a_quaternion_in_the_wrong_order_is_told_the_right_one(tmp_path: Path) -> None:
+    true = raised(1.0)
+    half = true.pop("yaw") / 2
+    rolled = 0.02 * np.sin(3 * T)
+    pose = true | {"qw": np.cos(half), "qx": rolled, "qy": -rolled, "qz": np.sin(half)}
+    log = log_of(flight={"time": T, **pose, **{f"cmd_{axis}": series for axis, series in COMMAND.items()}})
+    text = draft_card(log)
+    wrong = loaded(text.replace('["qw", "qx", "qy", "qz"]', '["qx", "qy", "qz", "qw"]'), tmp_path)
+
+    told = {one.code: one for one in findings_of_flight(log, flight_from_log(log, wrong))}
+    assert told["quaternion_order"].severity == "error"
+    assert 'quaternion = ["qw", "qx", "qy", "qz"]' in told["quaternion_order"].remedy
+    right = findings_of_flight(log, flight_from_log(log, loaded(text, tmp_path)))
+    assert "quaternion_order" not in {one.code for one in right}
 
 
 def test_a_draft_says_ned_where_the_height_is_named_down() -> None:

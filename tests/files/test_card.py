@@ -170,7 +170,7 @@ MISSING = object()
         (("command", "time"), MISSING, "time is missing"),
         (("pose", "time"), MISSING, "time is missing"),
         (("pose", "x"), MISSING, "x is missing"),
-        (("pose", "quaternion"), MISSING, "yaw or quaternion"),
+        (("pose", "quaternion"), MISSING, "yaw is missing; name its column, or a quaternion"),
         (("pose", "yaw"), "/pose:yaw", "yaw or quaternion"),
         (("command", "x", "from"), MISSING, "from is missing"),
         (("window", "when"), MISSING, "when is missing"),

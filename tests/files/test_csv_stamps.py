@@ -22,7 +22,10 @@ def table_of(folder: Path, head: str, rows: list[str]) -> Table:
 
 @pytest.mark.parametrize(
     ("zone", "form"),
-    [(UTC, "%Y-%m-%dT%H:%M:%S.%fZ"), (UTC, "%Y-%m-%d %H:%M:%S.%f"), (timezone(timedelta(hours=-3, minutes=-30)), "")],
+    [
+        *((UTC, form) for form in ("%Y-%m-%dT%H:%M:%S.%fZ", "%Y-%m-%d %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f")),
+        (timezone(timedelta(hours=-3, minutes=-30)), ""),
+    ],
 )
 def test_dates_are_nanoseconds_since_1970(zone: timezone, form: str, tmp_path: Path) -> None:
     here = [step.astimezone(zone) for step in STEPS]
@@ -31,6 +34,17 @@ def test_dates_are_nanoseconds_since_1970(zone: timezone, form: str, tmp_path: P
     table = table_of(tmp_path, "time,x", [f"{date},{k}" for k, date in enumerate(dates)])
 
     assert table.columns["time"].tolist() == NANOSECONDS
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M:%S,%f", "%d.%m.%Y %H:%M:%S.%f", "%Y-%m-%d %H:%M:%S,%f"])
+@pytest.mark.parametrize("mark", [",", "."])
+def test_dates_hinder_no_decimal_commas_and_may_have_one(form: str, mark: str, tmp_path: Path) -> None:
+    rows = [f"{step.strftime(form)};{k}{mark}5" for k, step in enumerate(STEPS)]
+
+    table = table_of(tmp_path, "time;x", rows)
+
+    assert table.columns["time"].tolist() == NANOSECONDS
+    np.testing.assert_array_equal(table.columns["x"], np.arange(40) + 0.5)
 
 
 def test_times_of_day_are_nanoseconds_since_midnight(tmp_path: Path) -> None:

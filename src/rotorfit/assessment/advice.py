@@ -82,7 +82,7 @@ NEEDED_SHARE = 0.05
 """Share of the command's power that must lie where delay and damping take effect; with less, noise makes them hard to
 separate. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20 % above 0.8 Hz."""
 
-WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "yaw_offset")
+WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "quaternion_order", "yaw_offset")
 """Findings of a flight that make the sign of the gain of x or y meaningless."""
 
 OVERTURNED = "axes_turned"

@@ -17,17 +17,19 @@ from rotorfit.core.plain import line_of, plain_toml, toml_text, visible
 from rotorfit.core.results import Motion
 from rotorfit.core.writing import write_whole
 from rotorfit.diagnosis.card_choice import proposal
-from rotorfit.diagnosis.command_response import BETTER, SHARED, Answers, CommandResponse, answers_of
-from rotorfit.diagnosis.frame_checks import height_sign, overturned
+from rotorfit.diagnosis.command_response import BETTER, QUICKEST, SHARED, Answers, CommandResponse, answers_of
+from rotorfit.diagnosis.frame_checks import height_sign, other_orders, overturned, turned_by_yaw
 from rotorfit.diagnosis.pose_checks import degrees_turned, position_unit
 from rotorfit.diagnosis.recognition import (
     Recognised,
     commands_in,
     is_down,
+    is_of_motive,
     is_of_tello,
     is_of_the_body,
     pose_in,
     reference_in,
+    velocities_as_commands,
     velocity_in,
     windows_in,
     z_up,
@@ -35,6 +37,7 @@ from rotorfit.diagnosis.recognition import (
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.files.cards import builtin_card_text, card_from_mapping
 from rotorfit.files.logs.formats import FORMATS
+from rotorfit.files.logs.several import format_of
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import shape_text, source_of
 
@@ -52,6 +55,7 @@ class DraftContents:
         pose_frame: `ENU` or `NED`.
         pose_remark: Reason for the frame, appended to its line.
         remarks: Remarks appended to other lines of the pose, by quantity.
+        doubted: Whether the commands may be the vehicle's own velocity, judging by their names.
     """
 
     commands: Recognised
@@ -62,6 +66,7 @@ class DraftContents:
     pose_frame: str
     pose_remark: str
     remarks: Mapping[str, str] = field(default_factory=dict)
+    doubted: bool = False
 
     @property
     def alone(self) -> list[str]:
@@ -69,15 +74,23 @@ class DraftContents:
         return [axis for axis in "xyz" if axis in self.velocity.channels and axis not in self.pose.channels]
 
 
-def found_in(log: Log) -> DraftContents:
-    """Contents of a draft according to the names in a log."""
-    commands, pose = commands_in(log), pose_in(log)
+def found_in(log: Log, guess: bool = True) -> DraftContents:
+    """Contents of a draft according to the names in a log.
+
+    Args:
+        log: As recorded.
+        guess: Whether columns named like velocities may be commands where nothing else is.
+    """
+    commands, pose, doubted = commands_in(log), pose_in(log), False
+    if guess and not commands.channels and (named := velocities_as_commands(log, pose)).channels:
+        commands, doubted = named, True
     velocity = velocity_in(log, commands, pose)
     if is_of_tello(log, velocity):
         dm = {axis: replace(channel, scale=10.0, unit="cm/s") for axis, channel in velocity.channels.items()}
         velocity = replace(velocity, channels=dm)
     of_velocity = "heading" if is_of_the_body(velocity) else "world"
-    return DraftContents(commands, pose, velocity, "heading", of_velocity, *_pose_frame(log, velocity, pose))
+    frame, remark = _pose_frame(log, velocity, pose)
+    return DraftContents(commands, pose, velocity, "heading", of_velocity, frame, remark, doubted=doubted)
 
 
 def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: str = "") -> str:
@@ -90,6 +103,10 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         f'frame = "{found.pose_frame}"  # {found.pose_remark}',
         "",
         "[command]",
+        *(
+            ["# EDIT: nothing else looks like commands, but by their names they may be the vehicle's own velocity"]
+            * found.doubted
+        ),
         f'frame = "{found.frame}"  # "world" where x and y do not turn with the vehicle',
         "# hold = 0.3  # s that a command acts without a successor; default: three median periods",
         _line("time", commands.time),
@@ -98,7 +115,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         "# meaning: tilt, velocity, vertical_speed or yaw_rate; full_scale: the limit that a command of 1 asks for",
         "",
         "[pose]",
-        *(["# Motive has y up: the axes are permuted cyclically"] * (log.format == "motive")),
+        *(["# Motive has y up: the axes are permuted cyclically"] * is_of_motive(log, pose)),
         _line("time", pose.time),
         *(
             _line(axis, pose.channels.get(axis), found.remarks.get(axis, ""))
@@ -106,7 +123,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
             if axis not in found.alone
         ),
         *([f"# {', '.join(found.alone)}: only the velocity, below"] if found.alone else []),
-        _quaternion_line(pose)
+        _quaternion_line(pose, found.remarks.get("qw", ""))
         if _is_whole(pose)
         else _line("yaw", pose.channels.get("yaw"), found.remarks.get("yaw", "")),
         "",
@@ -150,7 +167,9 @@ def _pose_frame(log: Log, velocity: Recognised, pose: Recognised) -> tuple[str, 
         return "NED", 'of the pose, by its names; "ENU" where z points up'
     if is_of_tello(log, velocity):
         return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
-    if log.format in FORMATS and FORMATS[log.format].ned:
+    table = pose.table or velocity.table
+    kind = FORMATS.get(format_of(log, table) if table else log.format)
+    if kind and kind.ned:
         return "NED", 'as autopilots have it; "ENU" where z points up'
     return "ENU", 'of the pose; "NED" where z points down'
 
@@ -159,12 +178,18 @@ def _window_lines(source: str, says: str) -> list[str]:
     return ["[[window]]  # commands count while this holds", f"when = {_quoted(source)}", *says.splitlines(), ""]
 
 
+NO_COMMAND = "[command] x, y, z or yaw"
+"""What a draft lacks that names no command: without one nothing can be fitted."""
+
+_INCOMPLETE = "# INCOMPLETE: nothing was recognised for "
+
+
 def _heading(log: Log, found: DraftContents) -> list[str]:
     """The head of the draft: what to check, and what is missing."""
     pose = found.pose
     there = {
         "[command] time": found.commands.time is not None,
-        "[command] x, y, z or yaw": bool(found.commands.channels),
+        NO_COMMAND: bool(found.commands.channels),
         "[pose] time": pose.time is not None,
         **{f"[pose] {axis}": axis in pose.channels or axis in found.alone for axis in "xyz"},
         "[pose] yaw or quaternion": _is_whole(pose) or "yaw" in pose.channels,
@@ -173,10 +198,7 @@ def _heading(log: Log, found: DraftContents) -> list[str]:
     return [
         f"# Drafted from the names in {visible(log.path.name)}. Check every line, the signs of the commands above all:",
         "# after scale, + must mean forward, left, up, and counter-clockwise seen from above.",
-        *(
-            [f"# INCOMPLETE: nothing was recognised for {'; '.join(missing)}. Fill in the lines marked EDIT."]
-            * bool(missing)
-        ),
+        *([f"{_INCOMPLETE}{'; '.join(missing)}. Fill in the lines marked EDIT."] * bool(missing)),
     ]
 
 
@@ -194,12 +216,12 @@ def _line(key: str, channel: Channel | None, said: str = "") -> str:
     return f"{key} = {value}" + (f"  # {'; '.join(remarks)}" if remarks else "")
 
 
-def _quaternion_line(pose: Recognised) -> str:
+def _quaternion_line(pose: Recognised, said: str) -> str:
     names = [str(pose.channels[f"q{part}"].source) for part in "wxyz"]
     prefix = names[0].removesuffix(".w")
     if names == [f"{prefix}.{part}" for part in "wxyz"]:
         return f"quaternion = {_quoted(prefix)}"
-    return f"quaternion = [{', '.join(_quoted(name) for name in names)}]  # w, x, y, z"
+    return f"quaternion = [{', '.join(_quoted(name) for name in names)}]  # w, x, y, z" + f"; {said}" * bool(said)
 
 
 CLEARER = 0.7
@@ -231,8 +253,8 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     if name:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
-    asked = _upright(log, _in_degrees(log, _asked(log, found_in(log))))
-    asked = _better_read(log, _in_the_better_frame(log, asked))
+    asked = _upright(log, _in_the_better_order(log, _in_degrees(log, _asked(log, found_in(log)))))
+    asked = _commanded(log, _better_read(log, _in_the_better_frame(log, asked)))
     found, told = asked.found, asked.answers
     if told is None:
         return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
@@ -304,6 +326,16 @@ def _in_degrees(log: Log, asked: _Asked) -> _Asked:
     return _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
 
 
+def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
+    """The draft with the parts of the quaternion in the order in which the command of yaw turns it."""
+    found, told = asked.found, asked.answers
+    if told is None or not _is_whole(found.pose) or turned_by_yaw(told) or "yaw" not in told.of:
+        return asked
+    why = "by the motion: in the order of the names no command turns the vehicle; EDIT if that is not so"
+    others = (_asked(log, _read(found, why, **parts)) for parts in other_orders(found.pose.channels))
+    return next((other for other in others if other.answers and turned_by_yaw(other.answers)), asked)
+
+
 def _upright(log: Log, asked: _Asked) -> _Asked:
     """The draft with the pose's axes permuted if the vertical command moves its y, as where motion capture has y up."""
     climbs = asked.answers.of.get("z") if asked.answers else None
@@ -320,7 +352,8 @@ def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
     """The draft with a velocity without position in the frame that explains it better.
 
     Where commands and velocity share a frame, the motion does not reveal which: then it is the heading frame, as it
-    almost always is for commands. The coefficients are the same.
+    almost always is for commands. The coefficients are the same. A turned velocity has the same sum of squares, so the
+    residuals of the two frames compare.
     """
     found, told = asked.found, asked.answers
     if told is None or told.frame is None or "x" not in found.alone:
@@ -329,12 +362,7 @@ def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
     if other.answers is None:
         return asked
     allowed = BETTER if told.frame == "heading" else 1 / BETTER
-    return other if _left(other.answers) < allowed * _left(told) else asked
-
-
-def _left(told: Answers) -> float:
-    """Unexplained share of the variance of the horizontal velocity, summed over x and y."""
-    return sum(1 - answer.explained for name, answer in told.of.items() if name in ("x", "y"))
+    return other if other.answers.left < allowed * told.left else asked
 
 
 def _better_read(log: Log, asked: _Asked) -> _Asked:
@@ -360,6 +388,14 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
     return min(sound, key=lambda pair: pair[0])[1] if sound else asked
 
 
+def _commanded(log: Log, asked: _Asked) -> _Asked:
+    """The draft without doubtful commands if the vehicle follows them at once: then they are its own velocity."""
+    found, told = asked.found, asked.answers
+    if told is None or not found.doubted or any(told.of[axis].lag > QUICKEST for axis in told.of.keys() & {"x", "y"}):
+        return asked
+    return _Asked(found_in(log, guess=False), None)
+
+
 def _odd(told: Answers) -> int:
     """Number of commands whose response contradicts their name."""
     return sum(1 for name, answer in told.of.items() if answer.axis and (answer.axis != name or answer.sign < 0))
@@ -380,7 +416,7 @@ def _readings(found: DraftContents) -> Iterator[DraftContents]:
 def _read(found: DraftContents, why: str, **channels: Channel) -> DraftContents:
     """The same draft with channels of the pose changed."""
     pose = replace(found.pose, channels={**found.pose.channels, **channels})
-    return replace(found, pose=pose, remarks={next(iter(channels)): why})
+    return replace(found, pose=pose, remarks={**found.remarks, next(iter(channels)): why})
 
 
 def _turned(channel: Channel) -> Channel:
@@ -431,11 +467,11 @@ def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) ->
     return f"+ {'turns' if axis == 'yaw' else 'moves'} the vehicle {_DIRECTIONS[frame][axis]}{renamed}: {figures}"
 
 
-def write_draft(log: Log, path: Path, fresh: bool = False) -> bool:
+def write_draft(log: Log, path: Path, fresh: bool = False) -> tuple[str, ...]:
     """Writes the draft of a card to a new file; see `draft_card` for the arguments.
 
     Returns:
-        Whether it names a command: without one nothing can be fitted.
+        The essentials that it lacks, as its head lists them.
 
     Raises:
         CardError: The file already exists: it may be a card that somebody has edited.
@@ -445,5 +481,5 @@ def write_draft(log: Log, path: Path, fresh: bool = False) -> bool:
         raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it")
     text = draft_card(log, fresh)
     write_whole(path, text, keep=False)
-    commands = text.partition("[command]\n")[2].partition("[pose]\n")[0]
-    return not all(_line(axis, None) in commands for axis in AXES)
+    missing = text.partition(_INCOMPLETE)[2].partition(".")[0]
+    return tuple(filter(None, missing.split("; ")))

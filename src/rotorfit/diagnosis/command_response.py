@@ -22,6 +22,9 @@ DELAYS = np.arange(0.0, 0.41, 0.1)
 CONSTANTS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Time constants that are tried [s]: from a stiff velocity loop to the drag of a vehicle commanded by its tilt."""
 
+QUICKEST = float(DELAYS[0]) + CONSTANTS[0]
+"""Least lag that is tried [s]: what has it horizontally is no response of a vehicle, which leans first."""
+
 GRID = 0.02
 """Step of the grid on which commands are smoothed [s]."""
 
@@ -63,8 +66,8 @@ class CommandResponse:
     Attributes:
         axis: The axis that it moves, one of `AXES`; None where none stands out.
         sign: +1 where a positive command moves forward, left, up or counter-clockwise; else -1.
-        certainty: Effect on that axis, in standard errors.
-        explained: Share of the variance of the velocity along that axis explained by all commands together.
+        certainty: Effect on that axis, or where none stands out on the one it is named after, in standard errors.
+        explained: Share of the variance of the velocity along the same axis explained by all commands together.
         lag: Delay plus time constant of the response [s].
         shared: Share of the variance of the command that the other commands explain. Where it is nearly all, the motion
             does not tell the commands apart.
@@ -193,11 +196,13 @@ def _solved(design: Array, target: Array) -> Array:
 
 
 def _answer(fits: list[_Fit], j: int, name: str, shared: float) -> CommandResponse:
-    """The axis that a command moves most significantly."""
+    """The axis that a command moves most significantly; where none stands out, figures of the one it is named after."""
     order = sorted(range(4), key=lambda k: -abs(fits[k].effect[j]))
     first, second = fits[order[0]], fits[order[1]]
     told = float(first.effect[j])
     sure = abs(told) > max(SIGNIFICANT, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
     borne_out = AXES[order[0]] == name and told > 0
     axis = AXES[order[0]] if sure and (borne_out or not shared > SHARED) else None
-    return CommandResponse(axis, int(np.sign(told)), abs(told), first.explained, first.lag, shared)
+    shown = first if axis else fits[AXES.index(name)]
+    told = float(shown.effect[j])
+    return CommandResponse(axis, int(np.sign(told)), abs(told), shown.explained, shown.lag, shared)

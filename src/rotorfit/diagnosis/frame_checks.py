@@ -1,4 +1,4 @@
-"""Directions of the response to commands: exchanged axes, wrong frames, a yaw that is offset or mirrored.
+"""Directions of the response to commands: exchanged axes, wrong frames, a yaw that is offset, mirrored or none.
 
 A horizontal command u = u_x + i u_y accelerates the vehicle by A = exp(i k psi) (c_x u_x + c_y u_y + c - B v) in the
 world, B diagonal. With the right card k is 1, c_x is real and c_y imaginary. Another k that explains more indicates the
@@ -12,19 +12,22 @@ pose in NED from commands that are forward, right, down and clockwise; the heigh
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from rotorfit.core.card import Card
+from rotorfit.core.card import Card, Channel
+from rotorfit.core.errors import FlightError
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import UNIT_SCALE, Array
+from rotorfit.core.frames import AXES, UNIT_SCALE, Array
+from rotorfit.core.plain import toml_text
 from rotorfit.core.results import Motion
-from rotorfit.diagnosis.command_response import SIGNIFICANT, TURNING, CommandResponse, answers_of, thinned
+from rotorfit.diagnosis.command_response import SIGNIFICANT, TURNING, Answers, CommandResponse, answers_of, thinned
 from rotorfit.diagnosis.motion_checks import LAGS, lagged_command
 from rotorfit.diagnosis.recording import Recording
+from rotorfit.flights.assemble import flight_from_log
 
 Complex = npt.NDArray[np.complex128]
 
@@ -86,6 +89,9 @@ class Directions:
 def frame_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the frames of one flight; none where its directions are not significant."""
     card, flight, motion = recording.card, recording.flight, recording.motion
+    if wrong := _order(recording):
+        yield wrong
+        return
     moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
     if not moved or len(motion.time) < LEAST_POSES or not np.any(motion.acceleration[:, :2]):
         return
@@ -99,6 +105,46 @@ def frame_findings(recording: Recording) -> Iterator[Finding]:
             return
     if own.explained > LEAST_EXPLAINED:
         yield from _turned(card, own, float(np.mean(part.yaw)), float(np.std(part.yaw)))
+
+
+def other_orders(pose: Mapping[str, Channel]) -> list[dict[str, Channel]]:
+    """A quaternion with w last where it was taken first, and the reverse: both orders are in use."""
+    names = [f"q{part}" for part in "wxyz"]
+    parts = [pose[name] for name in names]
+    return [dict(zip(names, parts[first:] + parts[:first], strict=True)) for first in (3, 1)]
+
+
+def turned_by_yaw(told: Answers) -> bool:
+    """Whether the command of yaw turns the vehicle: parts of a quaternion in the wrong order are no heading."""
+    return "yaw" in told.of and told.of["yaw"].axis == "yaw"
+
+
+def _order(recording: Recording) -> Finding | None:
+    """Finding for a quaternion that obeys the command of yaw in another order only."""
+    card, flight = recording.card, recording.flight
+    if "qw" not in card.pose or not np.ptp(flight.command[:, AXES.index("yaw")]):
+        return None
+    own = answers_of(flight, recording.motion)
+    if "yaw" not in own.of or turned_by_yaw(own):
+        return None
+    for parts in other_orders(card.pose):
+        try:
+            other = answers_of(flight_from_log(recording.log, replace(card, pose={**card.pose, **parts})))
+        except FlightError:
+            continue
+        if turned_by_yaw(other):
+            names = [str(part.source) for part in parts.values()]
+            return Finding(
+                "quaternion_order",
+                "error",
+                f"commands explain {100 * other.of['yaw'].explained:.0f} % of the turning with {names[0]} as w of the "
+                f"quaternion, but {100 * own.of['yaw'].explained:.0f} % by the card as it is",
+                "the heading is none: nothing of yaw is the vehicle's, nor of x and y, whose commands are resolved in "
+                "the wrong direction",
+                f"name the four in the order w, x, y, z: quaternion = [{', '.join(map(toml_text, names))}] in [pose] "
+                "of the card",
+            )
+    return None
 
 
 def _other_turns(card: Card, turning: float) -> list[float]:

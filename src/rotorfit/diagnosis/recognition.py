@@ -9,6 +9,7 @@ import numpy as np
 from rotorfit.core.card import Channel
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
+from rotorfit.files.logs.several import format_of
 from rotorfit.flights.columns import (
     clock_of,
     clocks,
@@ -25,7 +26,7 @@ from rotorfit.flights.stamps import degrees_for_radians, increasing, stamps_of
 _COMMAND_FAMILIES = (
     ("(?:cmd_vel|cmd|command)", "(?:v_?)?"),
     ("(?:u|input|ctrl|control)", "(?:v_?)?"),
-    ("(?:ref|setpoint|sp|des|desired|target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
+    ("(?:ref|setpoint|sp|des|desired|(?:ctrl)?target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
     ("(?:pct|percent|stick)", "(?:v_?)?"),
 )
 
@@ -45,16 +46,26 @@ _FORWARD, _LEFT, _UP = (
     "lin_?z|linear_z|ve|climb|up|throttle|thrust",
 )
 
-_PLACE = "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|state|odom|drone|body)_?)*"
+_STICKS = {
+    "x": "(?:rc_)?fb|forward_backward(?:_velocity)?",
+    "y": "(?:rc_)?lr|left_right(?:_velocity)?",
+    "z": "(?:rc_)?ud|up_down(?:_velocity)?",
+    "yaw": "(?:rc_)?yv|rc_yaw|yaw_velocity",  # which alone may be measured
+}
+
+_PLACE = (
+    "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|lighthouse|state|estimate|odom|drone|"
+    "body|stabilizer|kalman_state(?!_p))_?)*"  # kalman.statePX is a velocity
+)
 
 _NED = {"x": "pn|north", "y": "pe|east", "z": "pd|down"}
 
 _POSE = {
-    axis: f"{_PLACE}{axis}|{axis}_?(?:pos|position|opt|mocap|u)|(?:position|pos)_{i}|{_NED[axis]}"
+    axis: f"{_PLACE}{axis}|{axis}_?(?:pos|position|opt|mocap|est|u)|(?:position|pos)_{i}|{_NED[axis]}"
     for i, axis in enumerate("xyz")
 }
 
-_HEADING = {"yaw": f"{_PLACE}(?:yaw|psi|heading)|(?:yaw|psi)_?(?:pos|opt|mocap)"}
+_HEADING = {"yaw": f"{_PLACE}(?:yaw|psi|heading)|(?:yaw|psi)_?(?:pos|opt|mocap|est)"}
 
 _HEADING |= {
     f"q{part}": f"{_PLACE}(?:(?:orientation|rotation|quaternion|quat|q)_?{part}|q_{i}|q{i + 1})"
@@ -82,7 +93,7 @@ _VELOCITIES = (
 
 _OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
 
-_GOAL = "(?:ref|reference|goal|des|desired|target|setpoint|sp)"
+_GOAL = "(?:ref|reference|goal|des|desired|(?:ctrl)?target|setpoint|sp)"
 
 _REFERENCE = {axis: f"{_GOAL}_?{axis}|{axis}_?{_GOAL}" for axis in AXES}
 
@@ -119,11 +130,24 @@ def commands_in(log: Log) -> Recognised:
     return _recognised(log, _commands)
 
 
+def velocities_as_commands(log: Log, pose: Recognised) -> Recognised:
+    """Commands named like velocities (vx, vy, yawrate) beside the position, as scripts for a Crazyflie log them.
+
+    By their names they may as well be the vehicle's own velocity.
+    """
+
+    def names_in(_: Log, table: Table) -> dict[str, str]:
+        found = _named(table, _SETPOINT) if table.name == pose.table else {}
+        return found if {"x", "y", "yaw"} <= found.keys() and {"x", "y", "z"} <= pose.channels.keys() else {}
+
+    return _recognised(log, names_in)
+
+
 def pose_in(log: Log) -> Recognised:
     """Quantity to column of the pose, by name; with several tables the heading may come from another table."""
-    if log.format in ("motive", "vicon"):
-        body = _recognised(log, lambda _, table: _named(table, _BODY))
-        return z_up(body) if log.format == "motive" else body
+    body = _recognised(log, _body)
+    if body.channels:
+        return z_up(body) if is_of_motive(log, body) else body
     pose = _recognised(log, _pose)
     if not pose.channels.keys() & {"x", "y", "z"} or pose.channels.keys() & {"yaw", "qw"} or len(log.tables) == 1:
         return pose
@@ -131,6 +155,11 @@ def pose_in(log: Log) -> Recognised:
     if not pose.channels:
         return heading  # the only pose information where only velocities are logged
     return replace(pose, channels={**pose.channels, **heading.channels})
+
+
+def is_of_motive(log: Log, pose: Recognised) -> bool:
+    """Whether a pose is from an export of Motive, whose y is up."""
+    return pose.table is not None and format_of(log, pose.table) == "motive"
 
 
 def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
@@ -250,7 +279,7 @@ def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> R
 
 def _unit(log: Log, table: Table, name: str) -> str | None:
     """The unit in a name, or that of the message: NTUN of ArduPilot is in cm. Source: its Log.cpp up to 3.6."""
-    if log.format.startswith("dataflash") and table.name == "NTUN":
+    if format_of(log, table.name).startswith("dataflash") and table.name == "NTUN":
         return "cm" if name.startswith("Pos") else "cm/s" if "Vel" in name else None
     return unit_of_name(name)
 
@@ -260,9 +289,10 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
     twist = {"x": "(?:twist_)?linear_x", "y": "(?:twist_)?linear_y", "z": "(?:twist_)?linear_z"}
     twist |= {"yaw": "(?:twist_)?angular_z"}
     families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
-    families.append(_named(table, _DEMAND))
-    if log.format.startswith("dataflash"):  # its DesRoll, DesPitch, DesYaw are setpoints of the inner angle loops
-        families = families[-1:]
+    sticks = _named(table, _STICKS)
+    families += [sticks if {"x", "y"} <= sticks.keys() else {}, _named(table, _DEMAND)]
+    if format_of(log, table.name).startswith("dataflash"):
+        families = families[-1:]  # its DesRoll, DesPitch, DesYaw are setpoints of the inner angle loops
     if _asked(log, table):
         families.append(_named(table, _SETPOINT))
     if (len(log.tables) > 1 or _asked(log, table)) and not _named(table, _POSE).keys() & {"x", "y", "z"}:
@@ -274,6 +304,11 @@ def _family(word: str, speed: str) -> dict[str, str]:
     """Patterns of the axes' names before or after a word that means command."""
     axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
     return {axis: f"{word}_?(?:{names})|(?:{names})_?{word}" for axis, names in axes.items()}
+
+
+def _body(log: Log, table: Table) -> dict[str, str]:
+    """Quantity to column of a rigid body, in exports of motion capture only: elsewhere such names may be anything."""
+    return _named(table, _BODY) if format_of(log, table.name) in ("motive", "vicon") else {}
 
 
 def _pose(log: Log, table: Table) -> dict[str, str]:

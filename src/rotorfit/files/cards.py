@@ -345,7 +345,11 @@ def _heading_offset(section: Mapping[str, Any], place: str) -> float:
 
 def _heading(section: Mapping[str, Any], place: str) -> dict[str, Channel]:
     """yaw, or qw, qx, qy, qz."""
-    if ("yaw" in section) == ("quaternion" in section):
+    if not section.keys() & {"yaw", "quaternion"}:
+        raise CardError(
+            f"{place}: yaw is missing; name its column, or a quaternion, or a constant where it stayed the same"
+        )
+    if {"yaw", "quaternion"} <= section.keys():
         raise CardError(f"{place}: name either yaw or quaternion, and not both")
     if "yaw" in section:
         return {"yaw": _channel(section["yaw"], f"{place} yaw", ANGLE_UNITS)}

@@ -16,6 +16,7 @@ from rotorfit.core.frames import POSE_UNITS, Array
 from rotorfit.core.limits import COMMAND_UNITS
 from rotorfit.core.log import Column, Log, Table
 from rotorfit.files.cards import builtin_cards
+from rotorfit.files.logs.several import format_of
 
 
 def tables_of(card: Card) -> frozenset[str] | None:
@@ -268,7 +269,11 @@ def _row(values: Column, row: int, count: int | None, what: str) -> Column:
     return series
 
 
-_CLOCKS = ("header_stamp", "log_time", "time", "t", "timestamp", "stamp", "seconds", "secs", "elapsed")
+_CLOCKS = (
+    *("header_stamp", "log_time", "time", "t", "timestamp", "stamp", "seconds", "secs", "elapsed", "time_stamp"),
+    *("t_sec", "time_sec", "unix_time", "epoch", "datetime", "rostime", "ros_time", "host_time", "ts", "monotonic"),
+    "clock",
+)
 
 _FEW_ROWS = 8  # quaternions, vectors, sticks
 
@@ -292,7 +297,7 @@ def clock_of(log: Log, table: Table, count: int) -> Channel | None:
     names = clocks_of(table, count)
     if not names:
         return None
-    of_ulog = log.format == "ulog" and names[0] == "timestamp"
+    of_ulog = format_of(log, table.name) == "ulog" and names[0] == "timestamp"
     time = Channel(source_of(log, table, names[0]), unit="us" if of_ulog else unit_of_name(names[0]))
     if time.unit is not None or plain_name(names[0]) in _CLOCKS[:2]:
         return time

@@ -48,7 +48,7 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool,
     """
     from dataclasses import asdict
 
-    from rotorfit.diagnosis.card_draft import write_draft
+    from rotorfit.diagnosis.card_draft import NO_COMMAND, write_draft
     from rotorfit.diagnosis.survey import survey_draft, survey_logs
     from rotorfit.files.log_span import parse_log
     from rotorfit.files.logs import read
@@ -57,10 +57,10 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool,
         raise click.UsageError("--draft-card drafts for one log: give one")
     if fresh and not draft:
         raise click.UsageError("--fresh is about --draft-card: give its file")
-    commanded = True
+    missing: tuple[str, ...] = ()
     with progress_bar() as progress:
         if draft:
-            commanded = write_draft(read(parse_log(logs[0]).path, progress=progress), draft, fresh)
+            missing = write_draft(read(parse_log(logs[0]).path, progress=progress), draft, fresh)
         surveys = survey_logs(logs, card, progress) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
@@ -69,13 +69,14 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool,
 
     for number, survey in enumerate(surveys):
         show([*([""] if number else []), *survey_view(survey)])
-    if draft and commanded:
-        click.echo(f"\nCard written to {draft}: check every line, then rotorfit fit {logs[0]} --card {draft}")
-    elif draft:
+    if draft and NO_COMMAND in missing:
         click.echo(
             f"\nCard written to {draft} without a command: none was found in {logs[0]}, and without one nothing can be "
             "fitted. Name its columns in the lines of [command] marked EDIT, or record the commands too."
         )
+    elif draft:
+        first = f"fill in {', '.join(missing)} in the lines marked EDIT, " if missing else ""
+        click.echo(f"\nCard written to {draft}: {first}check every line, then rotorfit fit {logs[0]} --card {draft}")
     return None
 
 

@@ -1,8 +1,9 @@
 """CSV: one header row of names, then rows of numbers between commas, semicolons or tabs.
 
 Decimal commas (`0,5`) with semicolons as separators are understood. Lines with a wrong number of cells (a cut last
-line, a line torn by a full disk) are left out with a note. ISO 8601 dates become nanoseconds since 1970, times of day
-since midnight; stamps in two columns of seconds and nanoseconds get an additional combined column.
+line, a line torn by a full disk) are left out with a note. Dates, of ISO 8601 or dotted with the day first, become
+nanoseconds since 1970, times of day since midnight; stamps in two columns of seconds and nanoseconds get an additional
+combined column.
 """
 
 import csv
@@ -39,7 +40,9 @@ _EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
 
 _COMMENTS = (b"#", b"%")
 
-_DATE = r"^(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:\.\d{1,9})?)(Z|[+-]\d\d:?\d\d)?$"
+_DAY_FIRST = r"\d\d\.\d\d\.\d{4}"
+
+_DATE = rf"^(?:(\d{{4}}-\d\d-\d\d|{_DAY_FIRST})[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{{1,9}})?)(Z|[+-]\d\d:?\d\d)?$"
 
 _STAMP_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
 
@@ -316,8 +319,8 @@ def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
 
 
 def _with_points(rows: bytes, separator: str) -> bytes:
-    """Replaces decimal commas by points, if the first rows have them and no points but those of times of day."""
-    sample = rows[:_BLOCK]
+    """Replaces decimal commas by points, if the first rows have them and no points but those of dates and times."""
+    sample = re.sub(_DAY_FIRST.encode(), b"", rows[:_BLOCK])
     if separator != "," and re.search(rb"\d,\d", sample) and not re.search(rb"(?<!:\d)\d\.\d", sample):
         return rows.replace(b",", b".")
     return rows
@@ -382,7 +385,8 @@ def _dates(text: "pl.Series") -> "pl.Series":
     days, clock, zone = (text.str.extract(_DATE, group) for group in (1, 2, 3))
     if clock.null_count() or days.null_count() not in (0, len(days)):
         return text
-    joined = days.fill_null("1970-01-01") + "T" + clock
+    days = days.str.replace(r"^(\d\d)\.(\d\d)\.(\d{4})$", "$3-$2-$1")
+    joined = days.fill_null("1970-01-01") + "T" + clock.str.replace(",", ".", literal=True)
     stamps = joined.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False).to_physical()
     if stamps.null_count():
         return text
