@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from rotorfit.core.errors import RotorfitError
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -44,7 +46,7 @@ def frame(columns: Mapping[str, Any], library: FrameLibrary = "polars") -> Any:
         A `polars.DataFrame` or a `pandas.DataFrame`.
 
     Raises:
-        ValueError: The library is neither of them.
+        RotorfitError: The library is neither of them.
         ModuleNotFoundError: pandas is requested but not installed.
     """
     if library == "polars":
@@ -52,7 +54,7 @@ def frame(columns: Mapping[str, Any], library: FrameLibrary = "polars") -> Any:
 
         return pl.DataFrame(dict(columns))
     if library != "pandas":
-        raise ValueError(f"no such library of data frames: {library!r}; known are 'polars' and 'pandas'")
+        raise RotorfitError(f"no such library of data frames: {library!r}; known are 'polars' and 'pandas'")
     try:
         import pandas as pd
     except ModuleNotFoundError:
