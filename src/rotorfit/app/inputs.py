@@ -122,7 +122,7 @@ def as_horizons(horizons: object) -> tuple[float, ...]:
         return HORIZONS
     if not isinstance(horizons, Iterable) or isinstance(horizons, str | bytes):
         raise TypeError(f"horizons are a sequence of seconds, not {named(horizons)}")
-    return tuple(as_number(each, "a horizon") for each in horizons)
+    return tuple(dict.fromkeys(as_number(each, "a horizon") for each in horizons))
 
 
 def as_number(value: object, what: str) -> float:
