@@ -168,6 +168,16 @@ def toml(data: bytes) -> Any:
 
 toml_changed = partial(parsed_and_changed, toml, lambda tree: tomli_w.dumps(tree).encode())
 json_changed = partial(parsed_and_changed, json.loads, lambda tree: json.dumps(tree).encode())
+
+
+def json_line_changed(content: bytes, rng: random.Random) -> bytes:
+    """Lines of JSON, one of them changed as a tree."""
+    lines = content.split(b"\n")
+    place = rng.randrange(len(lines))
+    lines[place] = json_changed(lines[place], rng)
+    return b"\n".join(lines)
+
+
 GUIDING = ("tomllib", "json", "rotorfit.core", "rotorfit.files", "rotorfit.simulation.vehicle")
 
 
@@ -189,7 +199,7 @@ def log(name: str, folder: Path) -> Kind:
         content = read(path)
         return "read with a note" if content.notes or content.damage else "read"
 
-    return Kind(found, bytes_changed, go)
+    return Kind(found, json_line_changed if name == "jsonl" else bytes_changed, go)
 
 
 def cards(_: Path) -> Kind:
