@@ -168,6 +168,16 @@ def toml(data: bytes) -> Any:
 
 toml_changed = partial(parsed_and_changed, toml, lambda tree: tomli_w.dumps(tree).encode())
 json_changed = partial(parsed_and_changed, json.loads, lambda tree: json.dumps(tree).encode())
+
+
+def json_line_changed(content: bytes, rng: random.Random) -> bytes:
+    """Lines of JSON, one of them changed as a tree."""
+    lines = content.split(b"\n")
+    place = rng.randrange(len(lines))
+    lines[place] = json_changed(lines[place], rng)
+    return b"\n".join(lines)
+
+
 GUIDING = ("tomllib", "json", "rotorfit.core", "rotorfit.files", "rotorfit.simulation.vehicle")
 
 
@@ -189,7 +199,7 @@ def log(name: str, folder: Path) -> Kind:
         content = read(path)
         return "read with a note" if content.notes or content.damage else "read"
 
-    return Kind(found, bytes_changed, go)
+    return Kind(found, json_line_changed if name == "jsonl" else bytes_changed, go)
 
 
 def cards(_: Path) -> Kind:
@@ -281,7 +291,7 @@ LINES = (
     "fit flight.csv@0:5 flight.csv --card card.toml -o out.json --axes x,y --method paper --structure auto",
     "validate model.json flight.csv --horizons 0.5,1,2 --json", "compare model.json model.json flight.csv@10:",
     "report model.json --on flight.csv -o out.html", "convert model.json --limits tilt=10deg -o out.json",
-    "tune model.json --axes z --rate 50 -o out.toml", "export model.json --to json -o out.json --dt 0.02",
+    "tune model.json --axes z --rate 50 -o out.toml", "export model.json --to c -o out.h --dt 0.02",
     "export model.json --to python -o out.py --predictor", "export", "cards", "cards bebop2 --json", "formats --json",
     "plan --card bebop2 --room 6x4x3 --axes x,y --duration 20 -o out.toml --box 0,0,0,1,1,1 --seed 3",
     "plan --after model.json --design chirp --speed 1 --amplitude 0.5", "ladder flight.csv --card card.toml --json",

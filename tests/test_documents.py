@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -37,7 +38,8 @@ from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.files.logs import FORMATS
 from rotorfit.files.logs.formats import FORMATS as LOG_FORMATS
 from rotorfit.flying.links import LINKS
-from rotorfit.simulation.paper_vehicle import Truth
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
 pytestmark = pytest.mark.flights
 
@@ -166,6 +168,25 @@ def test_the_library_example_is_ten_lines_and_runs_as_printed(
     assert str(x.input) in printed
     assert "nan" not in printed
     assert "None" not in printed
+
+
+def test_the_recipe_of_the_library_makes_a_flight_of_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = section(page_of("api"), "From arrays to a flight")
+    (example,), (card,) = blocks(recipe, "python"), blocks(recipe, "toml")
+    (tmp_path / "arrays.toml").write_text(card)
+    monkeypatch.chdir(tmp_path)
+    flown = simulate_flight(Truth(), two_sines, 10.0, 1)
+    given: dict[str, Any] = {
+        "pose_time": flown.pose_stamp / 1e9, "pose": flown.pose,
+        "command_time": flown.command_stamp / 1e9, "command": flown.command,
+    }  # fmt: skip
+
+    exec(compile(example, "docs/api.md", "exec"), given)
+
+    flight = given["flight"]
+    np.testing.assert_array_equal(flight.command, flown.command)
+    assert len(flight.pose_time) > 0.9 * len(flown.pose)
+    assert np.isin(flight.position[:, 0], flown.pose[:, 0]).all()
 
 
 def test_the_examples_pass_mypy_strict_so_that_users_see_the_real_signatures(tmp_path: Path) -> None:

@@ -347,6 +347,13 @@ def test_what_cannot_be_simulated_is_one_line(stamps: list[float], command: list
         rf.simulate(room.fit, stamps, [command] * len(stamps), [0.0, 1.0])
 
 
+def test_nothing_to_simulate_is_one_line(room: Room) -> None:
+    with pytest.raises(rf.RotorfitError, match="time is empty: give at least one"):
+        rf.simulate(room.fit, [0.0], [[0.2, 0, 0, 0]], [])
+    with pytest.raises(rf.RotorfitError, match="command_time is empty: give at least one"):
+        rf.simulate(room.fit, [], np.zeros((0, 4)), [0.0, 1.0])
+
+
 def test_a_path_that_none_can_be_is_no_such_file() -> None:
     for path in ("a\0b", "9" * 5000, "\udcff"):
         for use in (rf.flight, rf.diagnose, rf.fit, rf.read, rf.load, rf.load_card, rf.load_plan):
@@ -372,6 +379,12 @@ def test_other_wrong_words_are_errors_that_say_what_is_right(room: Room) -> None
         rf.fit(room.train, "best", card=room.card)
     with pytest.raises(rf.RotorfitError, match="no such axis: 'roll'; axes are x, y, z, yaw"):
         rf.fit(room.train, axes="z,roll", card=room.card)
+    with pytest.raises(rf.RotorfitError, match="no axis: give at least one of x, y, z, yaw"):
+        rf.fit(room.train, axes=[], card=room.card)
+    with pytest.raises(TypeError, match="the path of a log, or a sequence of them, got dict"):
+        rf.fit({room.train: 1})
+    with pytest.raises(TypeError, match="expected a sequence of models, fits or model files, got dict"):
+        rf.compare({"model.json": 1}, room.proof)
     with pytest.raises(rf.RotorfitError, match="accuracy table is of the likelihood"):
         rf.fit(room.train, "paper", card=room.card, uncertainty=True)
     with pytest.raises(TypeError, match="a model, a fit or a plan can be saved, not int 3"):
@@ -464,7 +477,7 @@ def test_pandas_is_only_imported_if_asked_for_and_an_error_says_how_to_get_it(
 
     with pytest.raises(ModuleNotFoundError, match="pandas is not installed; install it with: pip install pandas"):
         room.fit.model.to_frame("pandas")
-    with pytest.raises(ValueError, match="no such library of data frames: 'arrow'"):
+    with pytest.raises(rf.RotorfitError, match="no such library of data frames: 'arrow'"):
         room.fit.model.to_frame("arrow")  # type: ignore[call-overload]
 
 

@@ -490,6 +490,40 @@ def test_a_drafted_card_fits_the_log(folder: Path, tmp_path: Path) -> None:
     assert by_card["gamma"] == json.loads((folder / "paper.json").read_text())["gamma"]
 
 
+def test_a_draft_into_a_folder_that_is_not_there_says_so(folder: Path, tmp_path: Path) -> None:
+    result = run("info", folder / "first.bag", "--draft-card", tmp_path / "no" / "card.toml", "--fresh")
+
+    assert result.exit_code == 1
+    assert f"there is no folder {tmp_path / 'no'}; make it first" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("tune ml.json --peak 0.5", "a largest peak of the sensitivity of 0.5: give 1.2 to 3"),
+        ("tune ml.json --rate 0", "a rate of 0 commands a second: give 5 to 500 commands a second"),
+        ("tune ml.json --latency 2", "a latency of 2 s: give 0 to 0.5 s"),
+        ("plan --card bebop2 --seed x", "x is not a whole number from 0 to"),
+        ("export ml.json --to numpy --dt 0.01 -o a.py", "--dt is for --to c and --round-delay: a file of numpy is for"),
+    ],
+)
+def test_a_value_that_cannot_be_used_is_told_with_its_range(
+    folder: Path, words: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+
+    result = run(*words.split())
+
+    assert result.exit_code != 0
+    assert told in result.stderr.replace("\n", " ")
+
+
+def test_a_horizon_given_twice_is_scored_once(folder: Path) -> None:
+    found = json_of("validate", folder / "ml.json", folder / "second.bag", "--horizons", "1,1,2")
+
+    assert list(found["flights"][0]["axes"]["x"]["horizons"]) == ["1", "2"]
+
+
 def test_info_of_several_logs_holds_one_entry_each(folder: Path) -> None:
     found = json_of("info", folder / "first.bag", folder / "second.bag")
 

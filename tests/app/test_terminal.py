@@ -10,8 +10,8 @@ from test_summary import axis, model
 
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
-from rotorfit.app.terminal.tables import interval_text, number_text
 from rotorfit.app.terminal.tracking import alarm_view, line_of, news, track_view
+from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Combination, Mode, Model
 from rotorfit.core.tracked import UNMOVED, Air, Alarm, Track, Tracked, TrackedAxis

@@ -56,7 +56,7 @@ def run(*words: str) -> Result:
         (("--link", "sim,mas=2@3"), "no option 'mas'; nearest: 'mass'; options are"),
         (("--link", "sim,seed=-3"), "'seed=-3' is not start=X/Y/Z/YAW"),
         (("--link", "replay"), "replay needs a file: --link replay:flight.mcap"),
-        (("--link", "sim", "--page", "abc"), "'abc' is not a valid port number"),
+        (("--link", "sim", "--page", "abc"), "abc is not a whole number from 0 to 65535"),
         (("--link", "sim,mass=0@2"), "'mass=0@2' is no change: mass is a factor from 0.1 to 10"),
     ],
 )

@@ -68,7 +68,7 @@ def test_a_combination_that_is_known_stands_in_for_its_parts() -> None:
 
     assert (
         "Known of z: input gain and delay; damping cannot be identified from these data, "
-        "but steady gain 0.97 (0.95 to 1) is." in found
+        "but steady gain 0.970 (0.950 to 1.000) is." in found
     )
     assert "total lag" not in found
 
@@ -78,7 +78,15 @@ def test_a_time_whose_interval_begins_near_zero_is_told_and_a_gain_of_such_a_rat
 
     found = summary_of_model(model({"z": axis(parts, damping="not_identifiable")}), axes=("z",))
 
-    assert "but total lag 0.15 (0.01 to 0.3) is." in found
+    assert "but total lag 0.15 (0.01 to 0.30) is." in found
+
+
+def test_a_combination_has_the_digits_that_its_interval_deserves() -> None:
+    parts = {"offset_plus_delay": Combination(-1772699982.649, (-1772699982.71, -1772699982.6))}
+
+    found = summary_of_model(model({"z": axis(parts, delay="not_identifiable")}), axes=("z",))
+
+    assert "but offset plus delay -1772699982.649 (-1772699982.710 to -1772699982.600) is." in found
 
 
 def test_a_time_known_to_no_better_than_itself_is_not_told() -> None:

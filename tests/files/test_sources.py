@@ -1,5 +1,6 @@
 """Reading logs: every format through one set of cases, then what is particular to each. Damage: see test_log.py."""
 
+import json
 import shutil
 import sqlite3
 import struct
@@ -194,6 +195,15 @@ def write_mat73(path: Path, rec: Recording, user_block: int = 512) -> Path:
     return path
 
 
+def write_jsonl(path: Path, rec: Recording) -> Path:
+    columns = {name: values.tolist() for name, values in plain_columns(rec).items()}
+    for row in range(len(rec.pose_time)):
+        cells = {name: values[row] for name, values in columns.items() if row < len(values)}
+        with path.open("a") as file:
+            file.write(json.dumps({**cells, "mode": "hover"}) + "\n")
+    return path
+
+
 def write_parquet(path: Path, rec: Recording) -> Path:
     columns = plain_columns(rec)
     cells = {name: [*values.tolist(), *[None] * (len(rec.pose_time) - len(values))] for name, values in columns.items()}
@@ -321,6 +331,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path, Recording], Path]]] = {
     "dataflash": ("dataflash", write_dataflash),
     "dataflash_text": ("dataflash_text", write_dataflash_text),
     "parquet": ("parquet", write_parquet),
+    "jsonl": ("jsonl", write_jsonl),
     "motive": ("motive", write_motive),
     "vicon": ("vicon", write_vicon),
     "lone mcap, ros1, lz4 chunk": ("mcap", lambda path, rec: write_mcap_ros1(path, rec, packed=True)),
@@ -362,7 +373,7 @@ def test_every_format_gives_the_same_poses_and_commands_whatever_the_file_is_cal
 
     assert log.format == kind
     assert all("left out because" in note or note.startswith(("Motive captured", "Objects: 100")) for note in log.notes)
-    sheet = name.startswith(("csv", "motive", "vicon", "parquet"))
+    sheet = name.startswith(("csv", "motive", "vicon", "parquet", "jsonl"))
     for values in (got.pose_time, got.command_time):
         assert values.dtype == np.int64 or sheet or name.startswith("mat")
     # A column with empty cells is float64, which holds nanoseconds of today to 256 ns.

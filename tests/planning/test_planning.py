@@ -123,9 +123,15 @@ def test_an_amplitude_that_leaves_is_refused_and_the_one_offered_is_flown() -> N
     offered = float(str(refused.value).split("--amplitude ")[1].split(",")[0])
     plan = plan_flight(CARD, small, "doublets", ("x",), 12.0, BELIEF, amplitude=offered)
     assert plan.predicted["amplitude"] == {"x": offered}
-    with pytest.raises(PlanError) as refused:  # from far above it is the same, to the precision of the search
-        plan_flight(CARD, small, "doublets", ("x",), 12.0, BELIEF, amplitude=40.0)
-    assert float(str(refused.value).split("--amplitude ")[1].split(",")[0]) == pytest.approx(offered, rel=0.05)
+    for far in (40.0, 1e9, 1e307):  # from far above it is the same, to the precision of the search
+        with pytest.raises(PlanError) as refused:
+            plan_flight(CARD, small, "doublets", ("x",), 12.0, BELIEF, amplitude=far)
+        assert float(str(refused.value).split("--amplitude ")[1].split(",")[0]) == pytest.approx(offered, rel=0.05)
+
+
+def test_a_room_larger_than_a_plan_holds_is_refused_with_what_to_give() -> None:
+    with pytest.raises(PlanError, match=r"'100000x4x3' leaves 99999.4 m to fly: a plan has at most 500 m each way"):
+        space_of_room("100000x4x3")
 
 
 def test_open_loop_that_drifts_out_is_refused() -> None:
@@ -289,7 +295,7 @@ def test_after_a_model_the_next_flight_is_shown_before_and_after(tmp_path: Path)
         (("--card", "rotorfit-demo", "--room", "6x4x3", "--box", "0,0,0,1,1,1"), "give --room or --box, not both"),
         (("--card", "rotorfit-demo", "--room", "big"), "is not length x width x height"),
         (("--card", "rotorfit-demo", "--speed", "-1"), "speed limits"),
-        (("--card", "rotorfit-demo", "--room", "1000x1000x100"), "exceeds the limit 500"),
+        (("--card", "rotorfit-demo", "--room", "1000x1000x100"), "a plan has at most 500 m each way"),
         (("--card", "rotorfit-demo", "--room", "60x60x20", "--speed", "50"), "exceeds the limit 30"),
     ],
 )

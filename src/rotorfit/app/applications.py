@@ -69,7 +69,7 @@ def simulate(
 
     Raises:
         TypeError: `model` is not a model, or an array has another shape.
-        ModelError: The model file cannot be used.
+        ModelError: The model file cannot be used; no times, times that do not increase, or a number that is not finite.
     """
     from rotorfit.dynamics import trajectory
 

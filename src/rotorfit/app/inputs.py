@@ -4,7 +4,7 @@ Each raises a TypeError for an argument of the wrong type, and a RotorfitError f
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike, fspath
 
 import numpy as np
@@ -65,7 +65,7 @@ def as_model(model: ModelLike) -> Model:
 
 def as_models(models: Iterable[ModelLike]) -> tuple[list[str], list[Model]]:
     """Names and models; a model in memory has no file and is named by its number."""
-    if isinstance(models, str | PathLike | Model | Fit) or not isinstance(models, Iterable):
+    if isinstance(models, str | PathLike | Model | Fit | Mapping) or not isinstance(models, Iterable):
         raise TypeError(f"expected a sequence of models, fits or model files, got {named(models)}")
     given = list(models)
     if not given:
@@ -78,7 +78,7 @@ def as_logs(flights: Flights) -> list[LogSpan | Flight]:
     """Flights as they are, paths with their spans."""
     many = [flights] if isinstance(flights, str | PathLike | Flight | Log) else flights
     wanted = "expected a flight, the path of a log, or a sequence of them"
-    if not isinstance(many, Iterable):
+    if isinstance(many, Mapping) or not isinstance(many, Iterable):
         raise TypeError(f"{wanted}, got {named(flights)}")
     given = list(many)
     for one in given:
@@ -94,6 +94,8 @@ def as_axes(axes: object) -> tuple[str, ...]:
     if not isinstance(axes, Iterable) or not all(isinstance(axis, str) for axis in axes):
         raise TypeError(f"expected names of axes, got {named(axes)}")
     wanted = tuple(part.strip() for part in axes.split(",")) if isinstance(axes, str) else tuple(axes)
+    if not wanted:
+        raise RotorfitError(f"no axis: give at least one of {', '.join(AXES)}")
     if unknown := [axis for axis in wanted if axis not in AXES]:
         raise RotorfitError(f"no such axis: {', '.join(map(repr, unknown))}; axes are {', '.join(AXES)}")
     return wanted
@@ -120,7 +122,7 @@ def as_horizons(horizons: object) -> tuple[float, ...]:
         return HORIZONS
     if not isinstance(horizons, Iterable) or isinstance(horizons, str | bytes):
         raise TypeError(f"horizons are a sequence of seconds, not {named(horizons)}")
-    return tuple(as_number(each, "a horizon") for each in horizons)
+    return tuple(dict.fromkeys(as_number(each, "a horizon") for each in horizons))
 
 
 def as_number(value: object, what: str) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
+from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import given_by_law
@@ -83,8 +84,7 @@ def _told(name: str, part: Combination) -> bool:
 
 
 def _range(part: Combination) -> str:
-    low, high = part.ci95
-    return f"{part.value:.3g} ({low:.3g} to {high:.3g})"
+    return f"{number_text(part.value, part.ci95)} ({interval_text(part.ci95)})"
 
 
 def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:

@@ -171,17 +171,20 @@ UNDER_WAY = 50.0
 def _check(kind: Kind, rate: float, latency: float, peak: float, draws: int) -> None:
     if kind not in KINDS:
         raise ModelError(f"no such design: {kind!r}; designs are {', '.join(KINDS)}")
-    if not (5 <= rate <= 500 and 0 <= latency <= 0.5):
-        raise ModelError(
-            f"cannot tune for {rate:g} commands a second and a latency of {latency:g} s: 5 to 500, 0 to 0.5"
-        )
+    for what, value, low, high, unit in (
+        ("rate", rate, 5, 500, " commands a second"),
+        ("latency", latency, 0, 0.5, " s"),
+        ("largest peak of the sensitivity", peak, 1.2, 3, ""),
+    ):
+        if not low <= value <= high:
+            raise ModelError(f"cannot tune for a {what} of {value:g}{unit}: give {low:g} to {high:g}{unit}")
+    if draws < 20:
+        raise ModelError(f"cannot tune over {draws} vehicles drawn: give 20 or more")
     if latency * rate > UNDER_WAY:
         raise ModelError(
             f"cannot tune for {latency * rate:.0f} commands under way ({rate:g} a second, {latency:g} s): at most "
             f"{UNDER_WAY:g}; give a lower rate"
         )
-    if not (1.2 <= peak <= 3.0 and draws >= 20):
-        raise ModelError(f"cannot tune to a peak of {peak:g} over {draws} draws: 1.2 to 3, and at least 20")
 
 
 def _untrusted(model: Model, axis: str) -> str:

@@ -5,6 +5,7 @@ This module depends on none of these classes, so that each can use it. polars an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from html import escape
@@ -12,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from rotorfit.core.errors import RotorfitError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +27,9 @@ class SupportsHtml(Protocol):
 
 
 FrameLibrary = Literal["polars", "pandas"]
+
+Ends = tuple[float | None, float | None]
+"""Ends of an interval; None for an open one."""
 
 LONG = 120
 """Length in characters above which a collection is only counted."""
@@ -40,7 +46,7 @@ def frame(columns: Mapping[str, Any], library: FrameLibrary = "polars") -> Any:
         A `polars.DataFrame` or a `pandas.DataFrame`.
 
     Raises:
-        ValueError: The library is neither of them.
+        RotorfitError: The library is neither of them.
         ModuleNotFoundError: pandas is requested but not installed.
     """
     if library == "polars":
@@ -48,7 +54,7 @@ def frame(columns: Mapping[str, Any], library: FrameLibrary = "polars") -> Any:
 
         return pl.DataFrame(dict(columns))
     if library != "pandas":
-        raise ValueError(f"no such library of data frames: {library!r}; known are 'polars' and 'pandas'")
+        raise RotorfitError(f"no such library of data frames: {library!r}; known are 'polars' and 'pandas'")
     try:
         import pandas as pd
     except ModuleNotFoundError:
@@ -76,6 +82,27 @@ def interval(low: float | None, high: float | None) -> str:
     if low is None and high is None:
         return ""
     return " to ".join("open" if end is None else number(end) for end in (low, high))
+
+
+def number_text(value: float, interval: Ends) -> str:
+    """A number rounded to two digits of the half width of its interval."""
+    return f"{value:z.{_decimals(value, interval)}f}"
+
+
+def interval_text(interval: Ends) -> str:
+    """A 95 % interval; `open` for an end that the data do not bound."""
+    low, high = interval
+    if low is None and high is None:
+        return "-"
+    known = [end for end in interval if end is not None]
+    decimals = _decimals(max(known, key=abs), interval)
+    return " to ".join("open" if end is None else f"{end:z.{decimals}f}" for end in interval)
+
+
+def _decimals(value: float, interval: Ends) -> int:
+    low, high = interval
+    half = abs(value) / 10 if low is None or high is None else (high - low) / 2
+    return max(0, min(6, 1 - math.floor(math.log10(half)))) if half > 0 else 3
 
 
 def text_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -15,7 +15,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log
 from rotorfit.core.plain import line_of, plain_toml, toml_text, visible
 from rotorfit.core.results import Motion
-from rotorfit.core.writing import write_whole
+from rotorfit.core.writing import check_folder, write_whole
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.command_response import BETTER, QUICKEST, SHARED, Answers, CommandResponse, answers_of
 from rotorfit.diagnosis.frame_checks import height_sign, other_orders, overturned, turned_by_yaw
@@ -475,8 +475,10 @@ def write_draft(log: Log, path: Path, fresh: bool = False) -> tuple[str, ...]:
 
     Raises:
         CardError: The file already exists: it may be a card that somebody has edited.
+        LogError: Its folder is missing.
         OSError: The file cannot be written.
     """
+    check_folder(path)
     if path.exists():
         raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it")
     text = draft_card(log, fresh)

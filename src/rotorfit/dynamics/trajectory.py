@@ -111,7 +111,7 @@ def simulate(
         The trajectory, without trim and disturbance.
 
     Raises:
-        ModelError: Times that do not increase, or a number that is not finite.
+        ModelError: No times, times that do not increase, or a number that is not finite.
 
     Source: paper, eq. (5), with u(t - delay).
     """
@@ -121,6 +121,8 @@ def simulate(
     velocity = np.zeros(4) if velocity is None else np.asarray(velocity, float)
     time, command_time, command = (np.asarray(a, float) for a in (time, command_time, command))
     for name, given in (("time", time), ("command_time", command_time)):
+        if not given.size:
+            raise ModelError(f"{name} is empty: give at least one")
         if not np.all(np.diff(given) > 0):
             raise ModelError(f"{name} does not increase: give each time once, in order")
     if not all(np.isfinite(one).all() for one in (time, command_time, command, pose, velocity)):

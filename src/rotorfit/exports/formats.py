@@ -41,6 +41,7 @@ class Format:
         steady: Whether it needs a steady speed on all four axes.
         named: Whether the file must have the name of the function in it.
         needs: Software that is needed to use it.
+        sampled: Whether its files are for one sample period; the others take any when they are used.
     """
 
     suffix: str
@@ -53,6 +54,7 @@ class Format:
     steady: bool = False
     named: bool = False
     needs: str = ""
+    sampled: bool = False
 
 
 NUMPY = Language("np.abs", "np.maximum", "np.minimum")
@@ -104,6 +106,7 @@ FORMATS: Mapping[str, Format] = {
         "c.h.j2",
         "C99 predictor of a fixed step with the exact delay. It allocates nothing and needs math.h only.",
         Language("fabs", "fmax", "fmin", prefix="{NAME}_"),
+        sampled=True,
     ),
     "ros1": Format(
         ".yaml",

@@ -23,7 +23,7 @@ def parse_span(text: str) -> Span:
     """Parses `T0:T1` in seconds; either side may be empty.
 
     Raises:
-        LogError: Not of that form, not finite, or T0 is not before T1.
+        LogError: Not of that form, not finite, negative, or T0 is not before T1.
     """
     start, colon, end = text.partition(":")
     try:
@@ -34,6 +34,8 @@ def parse_span(text: str) -> Span:
             raise ValueError
     except ValueError:
         raise LogError(f"span {text[:80]!r} is not T0:T1 in seconds, such as 10:60 or :84") from None
+    if any(end is not None and end < 0 for end in (low, high)):
+        raise LogError(f"span {text!r} reaches back before 0, where poses and commands begin; give T0:T1 from 0 on")
     if low is not None and high is not None and low >= high:
         raise LogError(f"span {text!r} ends before it starts; give T0:T1 with T0 < T1")
     return low, high

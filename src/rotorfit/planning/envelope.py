@@ -238,7 +238,11 @@ def _guilty(axis: str, axes: Sequence[str], shares: Array) -> bool:
     return bool(max(outside[axis], speed) > ALLOWED)
 
 
-_STEPS, _MOST_STEPS = 12, 30
+_STEPS, _MOST_STEPS = 12, 80
+
+_LITTLE, _PATIENCE, _AT_ONCE = 0.8, 8, 1e-6
+"""A factor that leaves is cut to this share, for usually only little has to be taken off; after so many cuts to the
+square of the last share, so that any amplitude comes down to one that fits, but not at once to less than this."""
 
 
 def _second_half(progress: Progress | None) -> Progress | None:
@@ -267,13 +271,20 @@ def _largest_common(
         return upper
     if not stays(0.0, 0):
         return 0.0
-    low, high = 0.0, upper
+    low, high, cut = 0.0, upper, _LITTLE
     for step in range(1, _MOST_STEPS):
-        middle = max((low + high) / 2, 0.8 * high)  # usually only little has to be taken off
+        middle = _between(low, high) if low else cut * high
         low, high = (middle, high) if stays(middle, step) else (low, middle)
         if low and high - low <= FINENESS * low:
             break
+        if step >= _PATIENCE:
+            cut = max(cut**2, _AT_ONCE)
     return low
+
+
+def _between(low: float, high: float) -> float:
+    """The mean; the geometric one where the ends are of different sizes."""
+    return (low + high) / 2 if high < 2 * low else float(np.sqrt(low) * np.sqrt(high))
 
 
 def refuse_if_outside(plan: Plan, fleet: Sequence[Draw], envelope: Envelope, amplitude: float = 1.0) -> None:

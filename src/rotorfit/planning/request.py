@@ -17,7 +17,7 @@ from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.models import load
-from rotorfit.files.plans import plan_from_mapping, plan_mapping
+from rotorfit.files.plans import WIDEST, plan_from_mapping, plan_mapping
 from rotorfit.planning.belief import Belief, belief_from_card, belief_from_model
 from rotorfit.planning.next_flight import NextFlight, next_flight
 from rotorfit.planning.plan_flight import TOGETHER, plan_flight, plan_flights
@@ -71,6 +71,8 @@ def _space(
             f"{text!r} leaves no room to fly: plans keep {MARGIN:g} m from walls and ceiling of a room and {FLOOR:g} m "
             "from its floor, and 0.2 m must be left each way"
         )
+    if (longest := max(high - low for low, high in zip(lower, upper, strict=True))) > WIDEST:
+        raise PlanError(f"{text!r} leaves {longest:g} m to fly: a plan has at most {WIDEST:g} m each way; give less")
     if not (0 < speed < 100 and 0 < climb < 100):
         raise PlanError(f"speed limits of {speed:g} and {climb:g} m/s cannot be flown; give positive ones below 100")
     x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))

@@ -16,13 +16,19 @@ from rotorfit.app.cli.options import JSON, MODEL, SEED, axes_of, file_at, print_
 @click.option(
     "-o", "output", type=file_at(), metavar="FILE", help="File to write; its name becomes that of the vehicle."
 )
-@click.option("--dt", type=float, default=0.02, metavar="S", help="Sample period of the C header; default: 0.02.")
+@click.option("--dt", type=float, metavar="S", help="Sample period, for --to c and --round-delay; default: 0.02.")
 @click.option("--predictor", is_flag=True, help="Also axes that are not identifiable, at the point that predicts best.")
 @click.option("--physical", is_flag=True, help="Commands in rad, m/s and rad/s instead of fractions of limits.")
 @click.option("--round-delay", is_flag=True, help="Round delays to whole samples of --dt; the file states by how much.")
 @JSON
 def export(
-    model_path: str | None, logs: Sequence[str], to: str | None, output: Path | None, as_json: bool, **asked: Any
+    model_path: str | None,
+    logs: Sequence[str],
+    to: str | None,
+    output: Path | None,
+    dt: float | None,
+    as_json: bool,
+    **asked: Any,
 ) -> None:
     """Write a model for a controller, an estimator or a simulator.
 
@@ -46,6 +52,8 @@ def export(
         return show(export_formats_view(FORMATS))
     if model_path is None or output is None:
         raise click.UsageError("give a model and -o FILE: rotorfit export model.json --to NAME -o FILE")
+    if dt is not None and to in FORMATS and not (FORMATS[to].sampled or asked["round_delay"]):
+        raise click.UsageError(f"--dt is for --to c and --round-delay: a file of {to} is for any sample period")
     from rotorfit.app.workflows import check_destination, training_flights, validate_logs
     from rotorfit.files.log_span import parse_log
     from rotorfit.files.models import load
@@ -54,6 +62,8 @@ def export(
     model = load(model_path)
     with progress_bar() as progress:
         validation = validate_logs(model, [parse_log(log) for log in logs], progress=progress)[0] if logs else None
+    if dt is not None:
+        asked["dt"] = dt
     made = write(model_path, to, output, training=training_flights(model)[0], validation=validation, **asked)
     say_kept(made.kept)
     if as_json:

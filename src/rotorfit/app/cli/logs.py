@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from rotorfit.app.cli.options import JSON, LOGS, card_option, file_at, print_json, progress_bar
+from rotorfit.app.cli.options import JSON, LOGS, PORT, card_option, file_at, print_json, progress_bar
 
 
 @click.command()
@@ -116,9 +116,7 @@ def formats(as_json: bool) -> None:
 
 @click.command()
 @click.argument("folder", metavar="[FOLDER]", type=file_at(file_okay=False), required=False)
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="Port to listen on; default: any free one."
-)
+@click.option("--port", type=PORT, default=0, metavar="N", help="Port to listen on; default: any free one.")
 @JSON
 def studio(folder: Path | None, port: int, as_json: bool) -> None:
     """Open a local web page: drop logs, check the card, fit, compare, download.

@@ -68,7 +68,7 @@ def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | Non
         horizons = ()
     if not horizons or not all(0 < horizon <= FARTHEST for horizon in horizons):
         raise click.BadParameter(f"{text!r} is no list of seconds from 0 to {FARTHEST:g}, such as 0.5,1,2,5", ctx)
-    return horizons
+    return tuple(dict.fromkeys(horizons))
 
 
 class Number(click.FloatRange):
@@ -90,7 +90,20 @@ class Number(click.FloatRange):
         return number
 
 
-SEED = click.IntRange(0, (1 << 63) - 1)
+class Whole(click.IntRange):
+    """A whole number within bounds; the error says which."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number; refuses what is none, or out of bounds."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(f"{value} is not a whole number from {self.min} to {self.max}", param, ctx)
+
+
+SEED = Whole(0, (1 << 63) - 1)
+
+PORT = Whole(0, 65535)
 
 
 class _File(click.Path):

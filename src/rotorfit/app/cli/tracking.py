@@ -12,6 +12,7 @@ import click
 
 from rotorfit.app.cli.options import (
     AFTER,
+    PORT,
     TUNE,
     Number,
     card_option,
@@ -31,9 +32,6 @@ if TYPE_CHECKING:
     from rotorfit.core.flight_data import Flight
     from rotorfit.core.tracked import Track, Tracked
     from rotorfit.tracking.earlier import Earlier
-
-PORT = click.IntRange(0, 65535)
-PORT.name = "port number"  # the name in error messages
 
 
 @click.command()

@@ -10,14 +10,13 @@ from rotorfit.app.terminal.tables import (
     bullets,
     finding_view,
     indented,
-    interval_text,
-    number_text,
     table,
     three_digits,
     title,
 )
 from rotorfit.assessment.rows import LENGTH, coefficient_rows
 from rotorfit.assessment.summary import summary_of_model
+from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.finding import DAMAGED, told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named

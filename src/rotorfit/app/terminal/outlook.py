@@ -9,8 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorfit.app.demo import Demo, recovered, scores
-from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, three_digits, title
+from rotorfit.app.terminal.tables import View, bullets, indented, table, three_digits, title
 from rotorfit.assessment.rows import SPEED
+from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.flight_plan import AxisExcitation, Chirp, Plan, Signal, Sines, value
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Interval

@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorfit.core.finding import Finding
-from rotorfit.core.model import Interval
 
 View = Iterator[RenderableType]
 
@@ -61,24 +60,3 @@ NOTHING = 1e-7
 def three_digits(value: float) -> str:
     """Three significant digits without an exponent: 0.0412, 1.55, 152; what is too small to matter is 0."""
     return f"{value:.{max(0, 2 - math.floor(math.log10(value)))}f}" if value > NOTHING else "0"
-
-
-def number_text(value: float, interval: Interval) -> str:
-    """A number rounded to two digits of the half width of its interval."""
-    return f"{value:z.{_decimals(value, interval)}f}"
-
-
-def interval_text(interval: Interval) -> str:
-    """A 95 % interval; `open` for an end that the data do not bound."""
-    low, high = interval
-    if low is None and high is None:
-        return "-"
-    known = [end for end in interval if end is not None]
-    decimals = _decimals(max(known, key=abs), interval)
-    return " to ".join("open" if end is None else f"{end:z.{decimals}f}" for end in interval)
-
-
-def _decimals(value: float, interval: Interval) -> int:
-    low, high = interval
-    half = abs(value) / 10 if low is None or high is None else (high - low) / 2
-    return max(0, min(6, 1 - math.floor(math.log10(half)))) if half > 0 else 3

@@ -8,7 +8,8 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, title
+from rotorfit.app.terminal.tables import View, bullets, indented, table, title
+from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.frames import POSE_UNITS
 from rotorfit.core.tracked import QUANTITIES, TIMES, Air, Alarm, Track, Tracked, TrackedAxis, other_law
 

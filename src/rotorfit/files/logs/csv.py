@@ -123,11 +123,11 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
         raise LogError(f"{path}: the header row cannot be understood; check its separators and quotation marks")
     if all(NUMBER.fullmatch(name) for name in names):
         raise LogError(f"{path}: the first line holds numbers where the columns' names belong; add a header row")
-    columns = _with_stamps(columns_below(path, data, (end + 1, len(data)), names, separator, notes))
+    columns = with_stamps(columns_below(path, data, (end + 1, len(data)), names, separator, notes))
     return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
 
 
-def _with_stamps(columns: dict[str, Column]) -> dict[str, Column]:
+def with_stamps(columns: dict[str, Column]) -> dict[str, Column]:
     """Adds combined stamps where they are in two columns (`header.stamp.secs`, `header.stamp.nsecs`)."""
     stamps: dict[str, Column] = {}
     for whole, rest in _STAMP_PARTS:
@@ -139,6 +139,12 @@ def _with_stamps(columns: dict[str, Column]) -> dict[str, Column]:
             if seconds.dtype == part.dtype == np.int64:
                 stamps[stem[:-1]] = seconds * 1_000_000_000 + part
     return stamps | columns
+
+
+def check_cells(path: Path, count: int) -> None:
+    """Raises `LogError` if a sheet has more cells than are parsed."""
+    if count > _MOST_CELLS:
+        raise LogError(f"{path}: more than {_MOST_CELLS >> 20} million cells; cut the log to the flight that you need")
 
 
 def text_of(path: Path) -> bytes:
@@ -187,8 +193,7 @@ def _sheet(
     body = data[part[0] : part[1]]
     if not body.strip():
         raise LogError(f"{path}: a header row and no rows below it; check that the recording ran")
-    if body.count(separator.encode()) + body.count(b"\n") > _MOST_CELLS:
-        raise LogError(f"{path}: more than {_MOST_CELLS >> 20} million cells; cut the log to the flight that you need")
+    check_cells(path, body.count(separator.encode()) + body.count(b"\n"))
     lines = _Lines(body, separator)
     first = body[lines.starts[lines.filled][0] :][: lines.lengths[lines.filled][0]].strip(b"\r\n")
     if lines.cells[lines.filled][0] == len(names) + 1 and first.endswith(separator.encode()):

@@ -47,6 +47,7 @@ FORMATS: Mapping[str, Format] = {
     "parquet": Format("Parquet", ".parquet, one flat table", f"{_LOGS}.parquet", rows=True),
     "motive": Format("OptiTrack Motive export", ".csv, format 1.2 and later", f"{_LOGS}.motive"),
     "vicon": Format("Vicon export", ".csv of Tracker or Nexus", f"{_LOGS}.vicon"),
+    "jsonl": Format("JSON Lines", "one JSON object a line, nested or with short lists", f"{_LOGS}.jsonl", rows=True),
     "csv": Format(
         "CSV", "a row of names, then rows of numbers between commas, semicolons or tabs", f"{_LOGS}.csv", rows=True
     ),
