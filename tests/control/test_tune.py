@@ -12,6 +12,7 @@ from rotorfit.control.margins import margins
 from rotorfit.control.robustness import believed_possible
 from rotorfit.control.tuning import DELAY_SHARE, PEAK, RESTLESS, tune
 from rotorfit.core.errors import ModelError
+from rotorfit.core.finding import Finding, Severity
 
 pytestmark = pytest.mark.flights
 
@@ -84,6 +85,24 @@ def test_noisy_poses_get_a_slower_filter() -> None:
     assert first.noise < RESTLESS
     assert second.bandwidth < first.bandwidth
     assert np.all(np.array(second.law.observer) < np.array(first.law.observer))
+
+
+@pytest.mark.parametrize("code", ["delay_at_bound", "delay_negative", "unit_mistake"])
+def test_what_the_findings_deny_is_tuned_for_no_controller(code: str) -> None:
+    severity: Severity = "warning" if code == "delay_negative" else "error"
+    doubted = Finding(code, severity, "the delay of x ends at its bound", "no number holds", "check the clocks", "x")
+    tuning = tune(replace(model_of(), findings=(doubted,)))
+
+    assert tuning.refused == {"x": "the delay of x ends at its bound; check the clocks"}
+    assert set(tuning.axes) == {"y", "z", "yaw"}
+
+
+def test_an_axis_that_moves_backwards_is_not_tuned() -> None:
+    g, b, tau = VEHICLE["z"]
+
+    assert (
+        "give z of [command] in the card the other sign" in tune(model_of({**VEHICLE, "z": (-g, b, tau)})).refused["z"]
+    )
 
 
 @pytest.mark.parametrize(

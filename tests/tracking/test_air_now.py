@@ -59,6 +59,17 @@ def test_the_mean_wind_reaches_as_far_as_the_damping_allows() -> None:
     assert courses(tilted(flight), estimates, {"x": (None, 2.0), "y": (0.1, 2.0)})[1] is None
 
 
+def test_a_hole_in_the_poses_leaves_the_mean_wind_known() -> None:
+    flight = tilted(flown(replace(STILL, trim=(0.3, 0.0, 0.0, 0.0)), steps(("x", "y"), seed=8), 24.0, seed=8))
+    estimates = refitted(flight, ("x", "y"), LAW, 24.0).estimates
+    seen = (flight.pose_time < 14.0) | (flight.pose_time > 20.5)
+    holed = replace(flight, pose_time=flight.pose_time[seen], position=flight.position[seen], yaw=flight.yaw[seen])
+    air = courses(holed, refitted(holed, ("x", "y"), LAW, 24.0).estimates, dict.fromkeys(estimates, (0.2, 0.6)))[1]
+
+    assert air is not None
+    assert np.isfinite([*air.speed_ci95, *air.direction_ci95]).all()
+
+
 def test_still_air_is_not_taken_for_wind() -> None:
     """Without gusts the seconds agree among themselves: what is left is the error of the trim."""
     axes, told = ("x", "y"), []

@@ -56,15 +56,22 @@ def too_early(flights: Sequence[Flight], early: float) -> tuple[str, str]:
             "use one clock for both streams, or the stamps at which both were received"
             + (", and log every command that is sent" if beside else ""),
         )
-    one = "one clock stamps commands and poses, so it is not the clocks"
+    logged = all(Path(flight.path).suffix.lower() in ONE_CLOCK for flight in flights)
+    one = (
+        "one clock stamps commands and poses, so it is not the clocks"
+        if logged
+        else "one clock stamps commands and poses, though perhaps a command when it is written, not when it is sent"
+    )
     if early <= period:
         return (
             f"{one}; {seldom}; the delay is not the vehicle's",
             "log every command that is sent (PX4: raise the rate of the set-point's topic in the logger)",
         )
+    seldom = f"commands that are logged every {1e3 * period:.0f} ms do not explain it"
+    stamp = "" if logged else ", and that its stamp is when it was sent"
     return (
-        f"{one}, nor that commands are logged every {1e3 * period:.0f} ms only; the delay is not the vehicle's",
-        "check that the card's command is the command as sent, not a measured or filtered copy",
+        f"{one}; {seldom}; the delay is not the vehicle's",
+        f"check that the card's command is the command as sent, not a measured or filtered copy{stamp}",
     )
 
 

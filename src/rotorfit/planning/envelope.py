@@ -205,17 +205,18 @@ def largest_amplitudes(
     for step in range(_STEPS):
         if progress:
             progress(0.5 * step / _STEPS, "looking for the largest amplitude")
-        if step == 1 and not trial.fits(with_amplitudes(plan, low)):
-            return low
+        if step == 1 and not trial.fits(with_amplitudes(plan, dict.fromkeys(axes, 0.0))):
+            return dict.fromkeys(axes, 0.0)
         guilty = half.guilty(with_amplitudes(plan, factors), axes)
         high |= {axis: factors[axis] for axis in guilty}
         low |= {axis: factors[axis] for axis in axes if axis not in guilty}
         if all(high[axis] - low[axis] <= FINENESS * low[axis] for axis in axes):
             break
         factors = {axis: (low[axis] + high[axis]) / 2 for axis in axes}
-    if min(low.values()) <= 0:
-        return dict.fromkeys(axes, 0.0)
-    plan, rest = with_amplitudes(plan, low), _second_half(progress)
+    rest = _second_half(progress)
+    if min(low.values()) <= 0:  # what is left for this axis, the others use up together
+        return dict.fromkeys(axes, _largest_common(plan, trial, upper, rest))
+    plan = with_amplitudes(plan, low)
     if not trial.fits(plan):
         common = _largest_common(plan, trial, 1.0, rest)
         return {axis: common * factor for axis, factor in low.items()}
