@@ -199,14 +199,15 @@ def largest_amplitudes(
         Axis to factor, accurate to 2 %; all 0 where even the hover leaves.
     """
     axes = [axis for axis in AXES if any(each.axis == axis for each in plan.excitations)]
-    low, high = dict.fromkeys(axes, 0.0), dict.fromkeys(axes, upper)
+    hover = dict.fromkeys(axes, 0.0)
+    low, high = dict(hover), dict.fromkeys(axes, upper)
     trial = _Trial(fleet[1:])
     half, factors = trial.half(), dict(high)
     for step in range(_STEPS):
         if progress:
             progress(0.5 * step / _STEPS, "looking for the largest amplitude")
-        if step == 1 and not trial.fits(with_amplitudes(plan, dict.fromkeys(axes, 0.0))):
-            return dict.fromkeys(axes, 0.0)
+        if step == 1 and not any(trial.fits(with_amplitudes(plan, each)) for each in (low, hover)):
+            return hover
         guilty = half.guilty(with_amplitudes(plan, factors), axes)
         high |= {axis: factors[axis] for axis in guilty}
         low |= {axis: factors[axis] for axis in axes if axis not in guilty}
