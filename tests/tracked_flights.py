@@ -79,15 +79,20 @@ def alarms(
     most: float = 10.0,
     loop: str = "closed",
     gusts: float = 0.3,
+    touches: tuple[float, float] = (0.0, 0.0),
 ) -> Sequence[Alarm]:
-    """The first alarm of a flight of the room and its revision, from 8 s before the change to `most` seconds after."""
+    """The first alarm of a flight of the room and its revision, from 8 s before the change to `most` seconds after.
+
+    It may have touched down between the times `touches` after the alarm [s].
+    """
     room = changing()
     flight = room.changing_flight(seed, room.Scenario(cause, vehicle, loop, gusts, duration=at + most, time=at)).flight
     following, found = Following(LAW), list[Alarm]()
     for part, now in growing(flight, at - 8.0, GLANCE):
-        state = following.follow(part, now)
+        low, high = (found[0].time + after if found else np.inf for after in touches)
+        state = following.follow(part, now, low < now < high)
         found += state.alarms if state else ()
-        if found and now > found[0].time + REVISED - 0.5 * GLANCE:
+        if found and now > found[0].time + max(REVISED, touches[1]) - 0.5 * GLANCE:
             break
     return found
 

@@ -190,3 +190,12 @@ def test_a_delay_that_axes_share_is_found_where_each_answers_in_a_few_seconds_on
 
     assert sum(together < 0.01 for together, _ in nothing) <= 4
     assert np.median([together for together, _ in later]) < 0.01 * np.median([alone for _, alone in later])
+
+
+def test_a_revision_waits_while_the_vehicle_may_have_touched_down() -> None:
+    """Else the alarm would keep its first guess of the cause, and no size."""
+    first, last = alarms("picked_up", "tello", at=30.0, touches=(0.5, 1.4))
+
+    assert last.revises == first.time
+    assert first.time + 1.4 <= last.time <= first.time + 1.75
+    assert last.change

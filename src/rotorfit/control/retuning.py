@@ -27,6 +27,7 @@ of k, or lies outside 99 % of what both allow, it is used alone.
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtr
@@ -123,7 +124,11 @@ class Retuning:
         self._carried: dict[str, tuple[str, ...]] = dict.fromkeys(AXES, COEFFICIENTS)
         self._anew: set[str] = set()
         self.kept: dict[str, str] = {}
-        self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew), dict(self.kept)
+        self._unchanged = self._copies()
+
+    def _copies(self) -> tuple[Any, ...]:
+        """What a change alters, as it is now."""
+        return dict(self._fits), dict(self._before), dict(self._carried), set(self._anew), dict(self.kept)
 
     def changed(self, axes: Collection[str], cause: str, revised: bool = False) -> None:
         """Notes that the vehicle has changed.
@@ -135,7 +140,7 @@ class Retuning:
         """
         if revised:
             self._fits, self._before, self._carried, self._anew, self.kept = self._unchanged
-        self._unchanged = dict(self._fits), dict(self._before), dict(self._carried), set(self._anew), dict(self.kept)
+        self._unchanged = self._copies()
         for axis in axes:
             self.kept.pop(axis, None)
             last, known = self._fits.pop(axis, None), self._carried[axis]

@@ -193,12 +193,9 @@ def _untrusted(model: Model, axis: str) -> str:
         if finding.axis in (axis, None) and (finding.severity == "error" or finding.code == "delay_negative"):
             return f"{finding.evidence}; {finding.remedy}"
     predictor = model.axes[axis].predictor
-    turned = predictor is not None and predictor.input < 0
-    return (
-        f"its input gain is negative; give {axis} of [command] in the card the other sign, and fit again"
-        if turned
-        else ""
-    )
+    if predictor is not None and predictor.input < 0:
+        return f"its input gain is negative; give {axis} of [command] in the card the other sign, and fit again"
+    return ""
 
 
 def _fastest(

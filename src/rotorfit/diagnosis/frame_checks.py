@@ -124,7 +124,7 @@ def _order(recording: Recording) -> Finding | None:
     card, flight = recording.card, recording.flight
     if "qw" not in card.pose or not np.ptp(flight.command[:, AXES.index("yaw")]):
         return None
-    own = answers_of(flight, recording.motion)
+    own = recording.answers
     if "yaw" not in own.of or turned_by_yaw(own):
         return None
     for parts in other_orders(card.pose):
@@ -380,8 +380,8 @@ def overturned(told: Mapping[str, CommandResponse], height: int) -> tuple[str, .
 
 def sign_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on signs that are reversed together."""
-    card, flight, motion = recording.card, recording.flight, recording.motion
-    told, height = answers_of(flight, motion).of, height_sign(flight)
+    card = recording.card
+    told, height = recording.answers.of, height_sign(recording.flight)
     turned = overturned(told, height)
     if not turned or card.command_frame != "heading":
         return

@@ -1,11 +1,13 @@
 """Input of the checks of the data: a log, its flight, and the motion from differentiated poses."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from rotorfit.core.card import Card
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Log
 from rotorfit.core.results import Motion
+from rotorfit.diagnosis.command_response import Answers, answers_of
 from rotorfit.dynamics.kinematics import motion_from_flight
 
 
@@ -27,6 +29,11 @@ class Recording:
     def card(self) -> Card:
         """The card that was applied."""
         return self.flight.card
+
+    @cached_property
+    def answers(self) -> Answers:
+        """Which command moves the vehicle in which direction."""
+        return answers_of(self.flight, self.motion)
 
 
 def recording_of(log: Log, flight: Flight) -> Recording:

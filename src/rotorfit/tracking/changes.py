@@ -401,13 +401,14 @@ def _p_value_of_all(
     score = precision = expected = 0.0
     sums: dict[float, float] = {}
     for scores, one, told in found:
-        way = along[scores.names]
-        weight = float((way.T @ told.precision @ way)[0, 0] / (way.T @ one.M @ way)[0, 0] / (way.T @ way)[0, 0] ** 2)
-        score += weight * float((one.u @ way)[0])
-        precision += weight * float((way.T @ one.M @ way)[0, 0])
+        way = along[scores.names][:, 0]
+        value, known = float(way @ one.M @ way), float(told.precision.max())  # of the shift: without, with the variance
+        weight = known / value
+        score += weight * float(one.u @ way)
+        precision += known
         chunks, products = scores.before(one.at)
-        own = (chunks @ way)[:, 0] * weight
-        expected += max(float(own @ own), weight**2 * float((way.T @ products @ way)[0, 0]))
+        own = weight * (chunks @ way)
+        expected += max(float(own @ own), weight**2 * float(way @ products @ way))
         for second, value in zip(scores.seconds(own.size), own, strict=True):
             sums[second] = sums.get(second, 0.0) + value
     excess, freedom = _spread(np.array([*sums.values()])[:, None], np.array([expected]))

@@ -276,7 +276,8 @@ class Following:
         """
         raised, self._raised = self._raised, None
         suspected, self._suspected = self._suspected, None
-        if standing:
+        if standing:  # who only touches the ground is soon told of, who stays there is not
+            self._raised = raised if raised and now < raised.alarm.time + 2 * REVISED else None
             return None
         if raised and now < raised.alarm.time + REVISED - 1e-6:
             self._raised = raised
