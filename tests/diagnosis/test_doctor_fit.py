@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flights import steps
-from logs import Csv, ran, said
+from logs import CARD, Csv, ran, said
 from rotorfit.core.frames import Array
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.planning.signals import two_sines
@@ -71,6 +71,30 @@ def test_clocks_apart(tmp_path: Path, late: float, code: str) -> None:
     assert found["severity"] == ("error" if code == "delay_at_bound" else "warning")
     assert ("0.60 s" if code == "delay_at_bound" else "50 ms") in found["evidence"]
     assert "clock" in found["effect"] + found["remedy"]
+
+
+def test_responses_before_their_commands_and_the_offset_that_the_remedy_gives(tmp_path: Path) -> None:
+    log = flown()
+    straight = ran("fit", *log.write(tmp_path))["axes"]["z"]
+    log.command_time = log.command_time + 0.45
+
+    (told,) = (one for (code, _), one in said("info", *log.write(tmp_path)).items() if code.startswith("response_"))
+    assert (told["code"], told["axis"], told["severity"]) == ("response_before_command", None, "error")
+    assert "z responds 0.25 s before" in told["evidence"]
+    offset = told["remedy"].split("offset = ")[1].split()[0]
+    card = CARD.replace('[command]\ntime = "time"', f'[command]\ntime = {{ from = "time", offset = {offset} }}')
+    mended = ran("fit", *log.write(tmp_path, card))
+    assert not {one["code"] for one in mended["findings"]} & {"response_before_command", "delay_negative"}
+    assert mended["axes"]["z"]["input"] == pytest.approx(straight["input"], rel=1e-3)
+
+
+def test_a_response_later_than_any_delay_that_is_searched(tmp_path: Path) -> None:
+    log = flown()
+    log.command_time = log.command_time - 0.7
+
+    told = said("info", *log.write(tmp_path))["response_too_late", "z"]
+    assert told["severity"] == "error"
+    assert "z responds 0.90 s after" in told["evidence"]
 
 
 def test_delay_and_damping_not_identifiable(tmp_path: Path) -> None:

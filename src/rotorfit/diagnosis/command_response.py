@@ -128,7 +128,7 @@ def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
     if not names or len(motion.time) < LEAST_POSES:
         return Answers(None, {})
     motion = thinned(motion, flight.duration)
-    lagged = _smoothed(flight, motion.time, [AXES.index(name) for name in names])
+    lagged = smoothed(flight, motion.time, [AXES.index(name) for name in names], DELAYS)
     frames: tuple[Literal["heading", "world"], ...] = ("heading", "world")
     fits = {frame: [_fit(lagged, motion.time, _along(motion, frame, k)) for k in range(4)] for frame in frames}
     left = {frame: fits[frame][0].left + fits[frame][1].left for frame in frames}
@@ -144,14 +144,14 @@ def thinned(motion: Motion, duration: float) -> Motion:
     return Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))
 
 
-def _smoothed(flight: Flight, time: Array, columns: list[int]) -> list[tuple[float, Array]]:
-    """Lag [s] and smoothed commands at some times, shape (N, K), for each time constant and delay."""
+def smoothed(flight: Flight, time: Array, columns: list[int], delays: Array) -> list[tuple[float, Array]]:
+    """Lag [s] and smoothed commands at some times, shape (N, K), for each of `CONSTANTS` and each delay [s]."""
     grid = np.arange(flight.command_time[0], flight.command_time[-1] + GRID, GRID)
     held = flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1][:, columns]
     found = []
     for constant in CONSTANTS:
         smooth = first_order_low_pass(held, float(np.exp(-GRID / constant)))
-        for delay in DELAYS.tolist():
+        for delay in delays.tolist():
             parts = [np.interp(time - delay, grid, series) for series in smooth.T]
             found.append((delay + constant, np.column_stack(parts)))
     return found

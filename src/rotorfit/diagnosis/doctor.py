@@ -17,6 +17,7 @@ from rotorfit.diagnosis.motion_checks import motion_findings
 from rotorfit.diagnosis.pose_checks import pose_findings
 from rotorfit.diagnosis.position_loop import restoring_findings
 from rotorfit.diagnosis.recording import Recording, recording_of
+from rotorfit.diagnosis.response_time import response_time_findings
 
 SHORT_TIME = 20.0
 """Flight time below which a flight counts as short [s]."""
@@ -33,13 +34,16 @@ def findings_of_flight(log: Log, flight: Flight) -> tuple[Finding, ...]:
     found = {check: tuple(check(recording)) for check in CHECKS}
     if found[frame_findings]:  # a wrong frame makes signs look reversed and leaves the horizontal motion unexplained
         found[sign_findings] = ()
+        found[response_time_findings] = tuple(
+            finding for finding in found[response_time_findings] if finding.axis not in ("x", "y")
+        )
         found[motion_findings] = tuple(
             finding
             for finding in found[motion_findings]
             if not (finding.code == "wind_dominates" and finding.axis in ("x", "y"))
         )
     still = frozen_axes(found[pose_findings])
-    for check in (motion_findings, sign_findings):
+    for check in (motion_findings, sign_findings, response_time_findings):
         found[check] = tuple(finding for finding in found[check] if finding.axis not in still)
     if "x" in still:
         found[frame_findings] = ()
@@ -88,6 +92,7 @@ CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
     motion_findings,
     frame_findings,
     sign_findings,
+    response_time_findings,
     restoring_findings,
 )
 """Every check of the data before a fit; findings of equal severity appear in this order."""
