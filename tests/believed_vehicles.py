@@ -118,7 +118,7 @@ def cases(count: int, seed: int) -> Iterator[Case]:
 class BelievedVehicle:
     """The vehicle of a case as a link."""
 
-    live, fail_safe, silence = False, "", Silence()
+    live, fail_safe, silence, undone = False, "", Silence(), ""
 
     def __init__(self, case: Case) -> None:
         self._truth, self._push, self._gusts = case.truth, np.array([*case.push, 0.0]), case.gusts

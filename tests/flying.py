@@ -46,7 +46,9 @@ class Watched:
     """A link that remembers what is sent; and fails as it is told to."""
 
     def __init__(self, link: Link) -> None:
-        self.link, self.live, self.fail_safe, self.silence = link, link.live, link.fail_safe, link.silence
+        self.link, self.live, self.fail_safe, self.silence, self.undone = (
+            link, link.live, link.fail_safe, link.silence, link.undone,
+        )  # fmt: skip
         self.began = link.now
         self.sent: list[tuple[float, list[float]]] = []
         self.acts: list[str] = []

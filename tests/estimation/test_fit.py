@@ -1,6 +1,6 @@
 """From flights to a model: statuses, intervals, combinations, covariance, the paper's method."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 
@@ -10,7 +10,7 @@ import pytest
 from flights import CARD, by_hand, fit_as_flown, flown, muddled, steps, truth_of
 from rotorfit.core.errors import FlightError, ModelError
 from rotorfit.core.flight_data import Flight, Segment
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import COEFFICIENTS, Axis, Interval
 from rotorfit.core.results import Fit
@@ -422,3 +422,53 @@ def by_hand_held(share: float) -> Flight:
     """A flight on x whose steps are a share of those of another."""
     flight = flown(Truth(), steps(("x",), 0.2 * share, seed=3), 20.0, seed=3)
     return replace(flight, axes=("x",))
+
+
+# Long flights: the optima are searched in a part
+
+
+def gated(begin: float, end: float, factor: float = 0.0) -> Callable[[Array], Array]:
+    """Steps of z; outside of an interval [s] multiplied by a factor."""
+    excitation = steps(("z",), seed=2)
+
+    def commands(t: Array) -> Array:
+        inside = (t >= begin) & (t < end)
+        return np.asarray(excitation(t) * np.where(inside, 1.0, factor)[:, None])
+
+    return commands
+
+
+def test_excitation_at_the_very_end_of_a_long_flight_is_found() -> None:
+    late = flown(Truth(), gated(98.0, 108.0), 108.0, 3)
+
+    axis = fit([late], axes=("z",), structure="first_order_delay").model.axes["z"]
+    assert statuses(axis) == {"ok"}
+    assert holds(axis.ci95["input"], truth_of(Truth(), "z")["input"])
+
+
+def test_commands_whose_response_no_pose_shows_do_not_count() -> None:
+    whole = flown(Truth(), gated(100.0, 170.0, 0.5), 200.0, 4)
+    seen = (whole.pose_time < 100.0) | (whole.pose_time > 170.0)
+    blind = replace(
+        whole, pose_time=whole.pose_time[seen], position=whole.position[seen], yaw=whole.yaw[seen], velocity=None
+    )
+
+    axis = fit([blind], axes=("z",), structure="first_order_delay").model.axes["z"]
+    assert statuses(axis) == {"ok"}
+    assert holds(axis.ci95["input"], truth_of(Truth(), "z")["input"])
+
+
+def test_a_flight_of_a_few_samples_beside_another_spoils_nothing() -> None:
+    long, short = flown(Truth(), steps(("z",), seed=2), 40.0, 5), flown(Truth(), steps(("z",), seed=3), 10.0, 6)
+    brief = replace(short, segments=(Segment(short.segments[0].start, short.segments[0].start + 0.8),))
+
+    axis = fit([long, brief], axes=("z",)).model.axes["z"]
+    assert axis.status["input"] == "ok"
+
+
+def test_time_between_segments_is_no_data() -> None:
+    whole = flown(Truth(), steps(("z",), seed=2), 60.0, 5)
+    pieces = tuple(Segment(start, start + 0.95) for start in (2.0, 14.0, 26.0, 38.0, 50.0))
+
+    axis = fit([replace(whole, segments=pieces)], axes=("z",)).model.axes["z"]
+    assert statuses(axis) == {"too_short"}

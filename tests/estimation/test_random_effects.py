@@ -74,3 +74,11 @@ def test_a_mixture_holds_95_per_cent() -> None:
 
     half = mixed_half_width(np.array([1.0, 25.0]), np.array([0.8, 0.2]))
     assert np.mean(np.abs(sd * rng.standard_normal(sd.size)) < half) == pytest.approx(0.95, abs=0.002)
+
+
+def test_precise_flights_that_differ_by_a_hundred_standard_errors_have_that_spread() -> None:
+    found = random_effects(np.array([0.0, 0.4, 0.12, 0.32, 0.2]), np.full(5, 0.003), 0.001)
+
+    assert found.reml is not None
+    assert found.spread == pytest.approx(found.reml, rel=0.3)
+    assert found.sd == pytest.approx(found.reml / np.sqrt(5), rel=0.2)

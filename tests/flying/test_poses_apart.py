@@ -16,7 +16,7 @@ class Half:
     """A link that remembers."""
 
     def __init__(self, *samples: Sample, live: bool = True) -> None:
-        self.now, self.live, self.fail_safe, self.silence = 5, live, "It hovers.", Silence(1.0)
+        self.now, self.live, self.fail_safe, self.silence, self.undone = 5, live, "It hovers.", Silence(1.0), ""
         self.samples = list(samples)
         self.sent: list[Sequence[float]] = []
         self.acted: list[str] = []

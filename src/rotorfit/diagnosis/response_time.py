@@ -107,9 +107,7 @@ def _too_early(early: list[_Beyond], card: Card) -> Finding:
     return Finding(
         "response_before_command",
         "error",
-        "; ".join(
-            f"{one.axis} responds {-one.delay:.2f} s before its command is stamped: {one.evidence}" for one in found
-        ),
+        "; ".join(each),
         "no coefficient of any axis is the vehicle's: the stamps of the commands and those of the poses do not agree",
         "stamp each command when it is sent, by the clock of the poses; where only this log is left, write "
         f"offset = {offset:.6g} (now {time.offset:g}) for time in [command] of the card: then input gain and damping "

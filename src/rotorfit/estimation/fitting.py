@@ -413,7 +413,7 @@ def estimate_group(
     """Maximum-likelihood estimates of the axes of one group; empty where the flights are too short."""
     serving = serving_flights(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]
-    if sum(float(np.ptp(rec.block_time)) for rec in records) < LEAST_TIME:
+    if sum(float(np.sum(np.diff(rec.block_time)[~rec.fresh[1:]])) for rec in records) < LEAST_TIME:
         return {}
     # Commands that only hold the position excite nothing, even where the stamps of different clocks place them before
     # the motion to which they respond.

@@ -1,6 +1,7 @@
 """Fly: executes a plan over a link, under guard, and records it. One loop for simulated and real time.
 
-take-off (if asked) -> approach (if the start is not near) -> the plan -> hover -> landing (if asked)
+take-off (if asked) -> hover (until the vehicle obeys commands) -> approach (if the start is not near) -> the plan
+-> hover -> landing (if asked)
 
 Whatever ends a flight, the first command sent is zero: hover.
 """
@@ -56,6 +57,9 @@ SETTLING = 45.0
 
 TAKE_OFF, CLIMBED = 15.0, 0.3
 """Longest take-off [s]; it ends after a second at rest above the floor by more than this height [m]."""
+
+OBEYING, ANSWERING = 10.0, 10.0
+"""How long the vehicle may take until it obeys commands, and until it answers the order to land [s]."""
 
 BRAKING, BRAKED = 3.0, 0.1
 """Longest active braking [s], and the speed that ends it [m/s]."""
@@ -158,7 +162,7 @@ class _Flight:
         self._first = self._last = self.due = self.link.now
         self.watch = replace(self.watch, heard=self.due, received=self.due, suspicion=0.0)
         self.recorder.window(self.due, False)
-        for part in (*([self._taken_off] if take_off else []), self._approached, self._excited):
+        for part in (*([self._taken_off] if take_off else []), self._obeyed, self._approached, self._excited):
             if (ending := part()) is not None:
                 return ending
         return Ending("completed", "completed")
@@ -195,10 +199,12 @@ class _Flight:
             self.notes.append("the link did not take the order to land: land by other means")
             return False
         self.recorder.event(link.now, "landing")
-        until = link.now + round(WATCHING * 1e9)
-        while link.now < until and self._try(self._listen):
+        until, latest = (link.now + round(seconds * 1e9) for seconds in (WATCHING, ANSWERING))
+        while (link.now < until or (link.undone and link.now < latest)) and self._try(self._listen):
             pass
-        return True
+        if link.undone:
+            self.notes.append(f"the vehicle was asked to land and does not ({link.undone}): land by other means")
+        return not link.undone
 
     def jitter(self) -> Jitter:
         """How late the commands of the flight were."""
@@ -226,6 +232,18 @@ class _Flight:
             rest = rest + 1 if height - floor > CLIMBED and speed < 2 * BRAKED else 0
             if self._since() > TAKE_OFF:
                 return Ending("take_off", f"the vehicle has not taken off within {TAKE_OFF:g} s")
+        return None
+
+    def _obeyed(self) -> Ending | None:
+        """Hover, until the vehicle obeys commands; what it does not obey must not be fitted."""
+        if self.link.undone:
+            self._enter("hover")
+        while self.link.undone:
+            if (ending := self._wait(self.limits)) is not None:
+                return ending
+            if self._since() > OBEYING:
+                return Ending("not_obeyed", f"the vehicle does not obey commands: {self.link.undone}")
+            self._send(HOVER)
         return None
 
     def _approached(self) -> Ending | None:

@@ -25,8 +25,9 @@ from rotorfit.core.model import NORMAL
 TAIL = 3.0
 """Degrees of freedom of the half t: heavy tails, but a finite variance."""
 
-GRID = np.concatenate([[0.0], np.geomspace(0.01, 40.0, 79)])
-"""Values of the spread that are averaged over, in units of the scale of its prior."""
+GRID = np.concatenate([[0.0], np.geomspace(0.01, 40.0, 79), np.geomspace(44.5, 40_000.0, 65)])
+"""Values of the spread that are averaged over, in units of the scale of its prior. The last are for flights that are
+precise and differ by a thousand of their standard errors."""
 
 
 @dataclass(frozen=True)

@@ -89,8 +89,7 @@ def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: Gaus
     if not moves:
         point = start_point(records, 0.0, 1.0, start_levels(measured_by(records))[None])
         return Estimate(records, _idle(records, point), 0, (), False)
-    parts = [excerpt(f, (axis,)) for f in serving]
-    short = [rec for f in parts if (rec := record(f, (axis,)))]
+    parts, short = _excerpts(serving, records, (axis,))
     found = search(short, parts, free_of(short, [True]))
     start = _moved_to(records, found[0].optimum.point)
     if _explains(parts, (axis,), short, found[0], 0):
@@ -98,6 +97,15 @@ def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: Gaus
         if _excited(serving, (axis,), records, optimum, start)[0]:
             return Estimate(records, optimum, 0, found, True)
     return Estimate(records, _idle(records, start), 0, found, False)
+
+
+def _excerpts(
+    serving: Sequence[Flight], records: Sequence[Record], axes: Sequence[str]
+) -> tuple[Sequence[Flight], Sequence[Record]]:
+    """The stretches of long flights in which optima are searched, and their records; the flights if none has one."""
+    parts = [excerpt(f, axes) for f in serving]
+    short = [rec for f in parts if (rec := record(f, axes))]
+    return (parts, short) if short else (serving, records)
 
 
 def _idle(records: Sequence[Record], point: Point) -> Optimum:
@@ -220,8 +228,7 @@ def estimate_plane(
         moving: Whether the coefficients of each axis are estimated.
         prior: As for `estimate_axis`.
     """
-    parts = [excerpt(f, group) for f in serving]
-    short = [rec for f in parts if (rec := record(f, group))]
+    parts, short = _excerpts(serving, records, group)
     found = search(short, parts, free_of(short, moving))
     excited = [moves and _explains(parts, group, short, found[0], k) for k, moves in enumerate(moving)]
     start = without_gain(_moved_to(records, found[0].optimum.point), np.logical_not(excited))

@@ -165,7 +165,7 @@ def effective_samples(estimate: Estimate) -> tuple[float, float]:
     for innovation in estimate.optimum.score.innovations:
         e = innovation[:, k] - innovation[:, k].mean()
         total += e.size
-        products += [float(e[: e.size - lag] @ e[lag:]) for lag in range(LAGS + 1)]
+        products += [float(e[: max(e.size - lag, 0)] @ e[lag:]) for lag in range(LAGS + 1)]
     correlation = products[1:] / products[0]
     correlation[np.abs(correlation) < 2 / np.sqrt(total)] = 0.0
     share = 1 / (1 + 2 * float(correlation @ correlation))

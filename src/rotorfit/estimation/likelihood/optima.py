@@ -237,14 +237,22 @@ def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Op
 
 
 def excerpt(flight: Flight, axes: Sequence[str]) -> Flight:
-    """The stretch of `EXCERPT` of a long flight with the strongest commands of the axes: enough to find the optima."""
+    """The stretch of `EXCERPT` of a long flight with the strongest commands of the axes: enough to find the optima.
+
+    Commands count while poses show what they do.
+    """
     start, end = flight.segments[0].start, flight.segments[-1].end
     if end - start <= EXCERPT:
         return flight
-    t, u = flight.command_time, flight.command[:, [AXES.index(axis) for axis in axes]]
-    energy = np.concatenate([[0.0], np.cumsum(np.sum((u - u.mean(axis=0)) ** 2, axis=1))])
-    begins = np.arange(start, end - EXCERPT + 1e-9, EXCERPT / 6)
-    inside = energy[np.searchsorted(t, begins + EXCERPT)] - energy[np.searchsorted(t, begins)]
+    t, seen = flight.command_time, flight.pose_time
+    u = flight.command[:, [AXES.index(axis) for axis in axes]]
+    u = (u - u.mean(axis=0))[np.maximum(np.searchsorted(t, seen, side="right") - 1, 0)]
+    ends = np.array([(part.start, part.end) for part in flight.segments])
+    place = np.maximum(np.searchsorted(ends[:, 0], seen, side="right") - 1, 0)
+    flown = (seen >= ends[place, 0]) & (seen <= ends[place, 1])
+    energy = np.concatenate([[0.0], np.cumsum(flown * np.sum(u**2, axis=1))])
+    begins = np.append(np.arange(start, end - EXCERPT, EXCERPT / 6), end - EXCERPT)
+    inside = energy[np.searchsorted(seen, begins + EXCERPT, side="right")] - energy[np.searchsorted(seen, begins)]
     best = float(begins[int(np.argmax(inside))])
     return between(flight, best, best + EXCERPT)
 

@@ -34,6 +34,8 @@ class Link(Protocol):
         live: Whether `now` is the wall clock, so that the flight is paced by it and something real may move.
         fail_safe: What the vehicle does by itself when the link is lost, for the user, one or two sentences.
         silence: How long it keeps executing the last command before that.
+        undone: What the vehicle was asked to do and does not, or not yet: to obey commands, to land; a sentence for the
+            user. Empty where it does, or the link cannot know.
     """
 
     @property
@@ -54,6 +56,11 @@ class Link(Protocol):
     @property
     def silence(self) -> Silence:
         """How long it keeps executing the last command before that."""
+        ...
+
+    @property
+    def undone(self) -> str:
+        """What the vehicle was asked to do and does not."""
         ...
 
     def send(self, command: Sequence[float]) -> None:

@@ -14,7 +14,7 @@ import os
 import select
 import socket
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rotorfit.core.card import Card
@@ -56,7 +56,8 @@ PATIENCE, SILENCE = 10 * SECOND, 3 * SECOND
 STREAMED, STREAM_PERIOD = int(1.2 * SECOND), SECOND // 20
 """How long setpoints are sent before the mode is requested, and the period of those that are not obeyed yet [ns]."""
 
-TRIES = 5
+TRIES, REQUESTS_OF_MESSAGES = 5, 15
+"""How often a step is asked for, and the messages that have not come [tries]."""
 
 SYNC_PERIOD = SECOND // 5
 """Time between two requests for the autopilot's clock [ns]."""
@@ -111,6 +112,8 @@ def open_poses(address: str) -> "MavlinkLink":
 class MavlinkLink:
     """A vehicle with an autopilot that speaks MAVLink; implements `links.Link`. Runs in the caller's thread."""
 
+    _streams: Mapping[str, tuple[int, float]] = STREAMS
+
     def __init__(self, connection: Any, commands: CommandFields | None) -> None:
         self.live = True
         self._connection = connection
@@ -122,8 +125,14 @@ class MavlinkLink:
         self._target = (0, 0)
         self._texts, self._spoken = SpokenTexts(), deque[tuple[int, str]](maxlen=TEXTS)
         self._refused: tuple[int, str] | None = None  # when, and what
+        self._declined, self._untold = "", False  # the same with the reason, and whether it is still to be raised
         self._goes_on: float | None = None  # as the autopilot is set
         self._heard = self._beaten = self._synced = 0
+        self._missing, self._requested, self._requested_times = (
+            dict(self._streams),
+            0,
+            0,
+        )  # messages that have not come yet
         self._requests = deque[int](maxlen=REQUESTS)  # for the autopilot's clock, when they were made
         self._echoed = self._trip = 0  # when the last answer came, and how long it took [ns]
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
@@ -131,6 +140,7 @@ class MavlinkLink:
         self._first_setpoint = self._last_setpoint = 0
         self._sending = False
         self._engaged = self._climbing = self._landing = self._in_our_mode = False
+        self._ours = False  # it has flown under our commands, or taken off by them
         self._on_ground = False
         self._engagements = 0
         self._trouble = ""
@@ -151,6 +161,20 @@ class MavlinkLink:
         """How long it keeps executing the last command before that: by its parameter, or else by default."""
         known = self._autopilot
         return Silence(self._goes_on or known.goes_on, known.parameter) if known else Silence()
+
+    @property
+    def undone(self) -> str:
+        """What the vehicle was asked to do and does not; see `links.Link`."""
+        known = self._known
+        if self._declined or self._refused:
+            return self._declined or (self._refused or (0, ""))[1]
+        if self._steps:
+            return f"{known.name} has not answered the request to {self._step_name(self._steps[0])}"
+        if self._landing or self._engaged:
+            return ""
+        if self._climbing:
+            return f"{known.name} does not say that its take-off is over"
+        return f"{known.name} {'says that it is on the ground' if self._on_ground else f'is not in {known.mode_name}'}"
 
     def greet(self, address: str = "") -> None:
         """Waits for a heartbeat, then requests the messages that are needed.
@@ -175,16 +199,24 @@ class MavlinkLink:
         self._request()
 
     def _request(self) -> None:
-        self._say("param_request_read", *self._target, self._known.parameter.encode(), -1)
-        for message, rate in STREAMS.items():
+        """Requests what has not come yet."""
+        self._requested, self._requested_times = wall_clock(), self._requested_times + 1
+        if self._commands is not None and self._goes_on is None:
+            self._say("param_request_read", *self._target, self._known.parameter.encode(), -1)
+        for message, rate in self._missing.values():
             self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def send(self, command: Sequence[float]) -> None:
         """Sends a velocity; see `links.Link`. The first one in the air also requests the flight mode."""
         self._check()
+        self._tell_refusal()
         if self._commands is None:
             raise LinkError("mavlink: the link was opened for poses only")
+        if self._declined and any(command):
+            raise LinkError(self._declined)
         if self._landing or (self._climbing and self._known.name == "ArduPilot"):
+            if any(command):
+                raise LinkError(f"mavlink: not sent: {self.undone or 'the vehicle lands'}")
             return  # ArduPilot would take a velocity for the end of the take-off, and both for the end of a landing
         if not self._sending:  # answers to earlier requests may have waited for us
             self._sending, self._trip, self._echoed = True, 0, wall_clock() if self._echoed else 0
@@ -207,6 +239,7 @@ class MavlinkLink:
             ready, _, _ = select.select((self._connection.fd,), (), (), min(seconds_until(until), 0.2))
             if not (ready and self._heard_all()) and seconds_until(until) <= 0:
                 break
+        self._tell_refusal()
         arrived, self._inbox = self._inbox, []
         return arrived
 
@@ -216,13 +249,15 @@ class MavlinkLink:
             self._close()
             return
         self._check()
-        if action == "land":
-            self._landing = True
-            self._steps.clear()
-            self._ask("land")
-        else:
+        self._steps.clear()
+        if action == "take_off":
             self._climbing, self._landing, self._engaged = True, False, False
             self._ask(*self._known.steps)
+        elif self._ours:
+            self._landing = True
+            self._ask("land")
+        else:
+            raise LinkError("mavlink: the vehicle has not flown under our commands")
 
     @property
     def _known(self) -> AutopilotProtocol:
@@ -238,6 +273,12 @@ class MavlinkLink:
             raise LinkError(f"mavlink: no heartbeat for {SILENCE / SECOND:g} s; the link is lost")
         if self._trouble:
             raise LinkError(self._trouble)
+
+    def _tell_refusal(self) -> None:
+        """Raises once if the autopilot has refused a step; the hover that follows must be sent."""
+        if self._untold:
+            self._untold = False
+            raise LinkError(self._declined)
 
     def _check_way(self) -> None:
         """Raises if commands arrive late or not at all, as requests for the clock do, which go the same way.
@@ -263,6 +304,7 @@ class MavlinkLink:
             self._meet(message.autopilot, source)
         if self._autopilot is None or source != self._target:
             return
+        self._missing.pop(kind, None)
         if kind == "HEARTBEAT":
             self._heard = received
             self._watch_mode(mode_of(self._known, message.custom_mode))
@@ -309,14 +351,18 @@ class MavlinkLink:
                 f"mavlink: the vehicle left {self._known.mode_name} by itself or by its pilot; not taken back"
             )
         self._engaged = self._engaged or (ours and self._sending)
+        self._ours = self._ours or self._engaged
 
     def _ask(self, *steps: str) -> None:
+        self._declined, self._untold, self._refused = "", False, None
         self._steps.extend(steps)
         self._begin()
 
     def _engage(self, now: int) -> None:
         """Requests the flight mode once the vehicle is in the air, once a second, for a limited time."""
         if self._climbing or self._on_ground or self._in_our_mode or self._steps or now - self._asked < SECOND:
+            return
+        if self._refused or self._declined:
             return
         self._engagements += 1
         if self._engagements > TRIES:
@@ -366,7 +412,7 @@ class MavlinkLink:
             return
         self._said = RESULTS[result] if result < len(RESULTS) else f"result {result}"
         if result == ACCEPTED:
-            self._steps.popleft()
+            self._ours = self._steps.popleft() == "take_off" or self._ours
             if self._steps:
                 self._begin()
         elif result == IN_PROGRESS:
@@ -375,9 +421,12 @@ class MavlinkLink:
             self._give_up(self._said)
 
     def _give_up(self, why: str) -> None:
-        step = STEP_NAMES.get(self._steps.popleft(), f"enter {self._known.mode_name}")
+        step = self._step_name(self._steps.popleft())
         self._steps.clear()
         self._refused = wall_clock(), f"mavlink: {self._known.name} did not {step}: {why}"
+
+    def _step_name(self, step: str) -> str:
+        return STEP_NAMES.get(step, f"enter {self._known.mode_name}")
 
     def _explained(self, refused: int, text: str) -> str:
         """A refusal, with the autopilot's own texts if there are any."""
@@ -394,8 +443,11 @@ class MavlinkLink:
             self._synced = now
             self._requests.append(now)
             self._say("timesync", 0, now)
+        overdue = self._requested and self._missing and now - self._requested >= 2 * SECOND
+        if overdue and self._requested_times < REQUESTS_OF_MESSAGES:
+            self._request()
         if self._refused is not None and now - self._refused[0] >= EXPLAINING:
-            self._trouble, self._refused = self._trouble or self._explained(*self._refused), None
+            self._declined, self._untold, self._refused = self._explained(*self._refused), True, None
         # PX4 enters its mode only when setpoints have come for a second; in any other mode it does not obey them
         idle = self._heard and self._known.streams and not self._sending and not self._in_our_mode
         if idle and self._commands is not None and now - self._last_setpoint >= STREAM_PERIOD:

@@ -20,13 +20,9 @@ from rotorfit.flying.links.card_fields import CommandFields, command_values
 from rotorfit.flying.links.card_window import Obedience, obedience
 from rotorfit.flying.links.link import Action, wall_clock
 from rotorfit.flying.links.mavlink import SILENCE, MavlinkLink, connect
-from rotorfit.flying.links.mavlink_messages import FIELDS, IN_AIR, MESSAGE_INTERVAL, SETPOINT, mavlink_commands
+from rotorfit.flying.links.mavlink_messages import FIELDS, IN_AIR, SETPOINT, STREAMS, mavlink_commands
 
 ECHO = "POSITION_TARGET_LOCAL_NED"
-
-STREAMS = {32: 50.0, 31: 50.0, 85: 50.0, 245: 2.0}
-"""Message to the rate asked for: LOCAL_POSITION_NED, ATTITUDE_QUATERNION, POSITION_TARGET_LOCAL_NED and
-EXTENDED_SYS_STATE [Hz]."""
 
 WORLD, TURNED = (1, 7), (8, 9, 12)
 """MAV_FRAMEs whose velocities are along north, east, down (LOCAL_NED, LOCAL_OFFSET_NED), and along the heading
@@ -55,6 +51,8 @@ def open_listener(address: str, card: Card) -> "MavlinkListener":
 
 class MavlinkListener(MavlinkLink):
     """A vehicle with an autopilot that somebody else flies; implements `links.Link`, and takes no commands."""
+
+    _streams = STREAMS | {ECHO: (85, 50.0)}
 
     def __init__(
         self, connection: Any, heard: CommandFields, stream: bool = False, window: Obedience | None = None
@@ -87,15 +85,12 @@ class MavlinkListener(MavlinkLink):
     def _known_since(self) -> int:
         return self._heard if self._autopilot else 0
 
-    def _request(self) -> None:
-        for message, rate in STREAMS.items():
-            self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
-
     def _take(self, message: Any, received: int) -> None:
         """Takes one message, of the autopilot or of whoever commands it."""
         kind, silent_since = message.get_type(), self._known_since
         super()._take(message, received)
         if kind == "HEARTBEAT" and silent_since and self._heard == received and received - silent_since > SILENCE:
+            self._missing, self._requested_times = dict(self._streams), 0
             self._request()  # it may have been started anew
         if kind in ("HEARTBEAT", "EXTENDED_SYS_STATE") and self._is_target(message):
             self._landed = getattr(message, "landed_state", self._landed)

@@ -34,8 +34,13 @@ ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5
 
 RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
 
-STREAMS = {32: 50.0, 31: 50.0, 1: 4.0, 245: 2.0}
-"""Message to the rate asked for: LOCAL_POSITION_NED, ATTITUDE_QUATERNION, SYS_STATUS, EXTENDED_SYS_STATE [Hz]."""
+STREAMS = {
+    "LOCAL_POSITION_NED": (32, 50.0),
+    "ATTITUDE_QUATERNION": (31, 50.0),
+    "SYS_STATUS": (1, 4.0),
+    "EXTENDED_SYS_STATE": (245, 2.0),
+}
+"""Message to its number and the rate asked for [Hz]."""
 
 TAKE_OFF_HEIGHT = 1.5
 """Take-off height, which ArduPilot requires [m]."""

@@ -49,6 +49,11 @@ class Joined:
         return self._commands.fail_safe
 
     @property
+    def undone(self) -> str:
+        """That of the first link."""
+        return self._commands.undone
+
+    @property
     def silence(self) -> Silence:
         """That of the first link, which may learn it from the vehicle later."""
         return self._commands.silence

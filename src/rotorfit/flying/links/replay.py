@@ -78,7 +78,7 @@ class ReplayLink:
     """A recorded vehicle; implements `links.Link`."""
 
     live = False
-    fail_safe, silence = "A log is played back: no vehicle moves.", Silence(0.0)
+    fail_safe, silence, undone = "A log is played back: no vehicle moves.", Silence(0.0), ""
 
     def __init__(self, samples: Sequence[Sample], name: str) -> None:
         self._samples, self._name, self._next = samples, name, 0

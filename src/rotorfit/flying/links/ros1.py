@@ -102,7 +102,7 @@ class Ros1Link:
         heard: CommandFields | None = None,
         window: Obedience | None = None,
     ) -> None:
-        self.fail_safe, self.silence = fail_safe, Silence(hold)
+        self.fail_safe, self.silence, self.undone = fail_safe, Silence(hold), ""
         self._window = window or Obedience({})
         self.live = True
         self._rospy = rospy

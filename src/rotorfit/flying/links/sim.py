@@ -121,7 +121,7 @@ def _scene(options: Sequence[str]) -> tuple[Four, int, bool]:
 class SimLink:
     """A vehicle in the virtual flight room; implements `links.Link`."""
 
-    live = False
+    live, undone = False, ""
 
     def __init__(self, room: "FlightRoom") -> None:
         self._room = room

@@ -59,7 +59,7 @@ class PilotedRoom:
     """
 
     live = False
-    fail_safe, silence = "Simulated: no vehicle moves.", Silence(0.0)
+    fail_safe, silence, undone = "Simulated: no vehicle moves.", Silence(0.0), ""
 
     def __init__(self, room: sim.SimLink, card: Card, seconds: float = ROUND) -> None:
         self._room = room

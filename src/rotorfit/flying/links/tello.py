@@ -67,7 +67,7 @@ class TelloLink:
 
     def __init__(self, card: Card, host: str, state_port: int) -> None:
         self.live = True
-        self.fail_safe, self.silence = card.fail_safe or FAIL_SAFE, Silence(card.hold or LANDS)
+        self.fail_safe, self.silence, self.undone = card.fail_safe or FAIL_SAFE, Silence(card.hold or LANDS), ""
         self._commands, self._poses = tello_commands(card), pose_fields(card)
         self._drone, self._state_port = (_address(host), COMMAND_PORT), state_port
         self._talk, self._state = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
