@@ -7,7 +7,11 @@ import pytest
 
 from rotorfit.control.control_law import KINDS, AxisLaw, Kind, law_of_bandwidth, linear_system
 from rotorfit.control.controller import AxisControllers, ReferencePath, at_rest, commanded, observe
-from rotorfit.control.margins import closed_loop, law_response, margins, spectral_radius
+from rotorfit.control.loop_vehicle import LaggedAxis, LoopVehicle
+from rotorfit.control.margins import closed_loop, law_response, margins, spectral_radius, vehicle_response
+from rotorfit.core.laws import structure_named
+from rotorfit.core.model import Predictor
+from rotorfit.dynamics.transfer_function import law_response as velocity_per_command
 from rotorfit.planning.axis_information import AxisBelief
 
 VEHICLE = AxisBelief(3.7, 0.18, 0.17)
@@ -24,7 +28,17 @@ BANDWIDTH = {"predictor": 2.0, "lqr": 2.0, "linearising": 1.2}
 LAWS = {kind: law_for(kind, BANDWIDTH[kind]) for kind in KINDS}
 
 
-def flown(law: AxisLaw, vehicle: AxisBelief, duration: float) -> np.ndarray:
+def rates(vehicle: LoopVehicle, v: float, q: float, u: float) -> tuple[float, float]:
+    """Derivatives of the velocity and of the third state, written from the laws in `core.laws`."""
+    if isinstance(vehicle, AxisBelief):
+        return vehicle.gain * u - vehicle.damping * v, 0.0
+    g, b, _, T, Z, order = vehicle
+    if order == 1:
+        return q - b * v, (g * u - q) / T
+    return q + g * Z / T * u, (g * u - b * v - (q + g * Z / T * u)) / T
+
+
+def flown(law: AxisLaw, vehicle: LoopVehicle, duration: float) -> np.ndarray:
     """Position at every command, from 0.1 m off: the controller as it flies, its vehicle in steps of half a ms.
 
     Time is kept short of the path's first step by starting long before it.
@@ -32,7 +46,7 @@ def flown(law: AxisLaw, vehicle: AxisBelief, duration: float) -> np.ndarray:
     controller, fine, t0 = AxisControllers({"x": law}, np.full(4, np.inf)), 0.0005, -duration
     steering = at_rest(np.zeros(4), t0 - LATENCY - PERIOD)
     per, late = round(PERIOD / fine), round(LATENCY / fine)
-    held, out, p, v = [0.0] * round(vehicle.delay / fine), [], 0.1, 0.0
+    held, out, p, v, q = [0.0] * round(vehicle.delay / fine), [], 0.1, 0.0, 0.0
     past = [p] * (late + 1)
     for k in range(int(duration / PERIOD)):
         t = t0 + k * PERIOD
@@ -40,20 +54,56 @@ def flown(law: AxisLaw, vehicle: AxisBelief, duration: float) -> np.ndarray:
         steering, command = commanded(controller, steering, t, HERE)
         held += [float(command[0])] * per
         for i in range(per):
-            push = vehicle.gain * held[k * per + i]
-            middle = v + fine / 2 * (push - vehicle.damping * v)
-            p, v = p + fine * middle, v + fine * (push - vehicle.damping * middle)
+            u = held[k * per + i]
+            slope, bend = rates(vehicle, v, q, u)
+            middle, half = v + fine / 2 * slope, q + fine / 2 * bend
+            slope, bend = rates(vehicle, middle, half, u)
+            p, v, q = p + fine * middle, v + fine * slope, q + fine * bend
             past.append(p)
         past = past[-late - 1 :]
         out.append(p)
     return np.array(out)
 
 
-def growth(law: AxisLaw, vehicle: AxisBelief) -> float:
+def growth(law: AxisLaw, vehicle: LoopVehicle) -> float:
     """Swing of the last ten seconds over that of the ten before."""
     p = flown(law, vehicle, 40.0)
     swing = p[-1000:].reshape(2, 500).std(axis=1)
     return float(swing[1] / swing[0])
+
+
+LAGGED = (LaggedAxis(3.7, 0.18, 0.05, 0.2, 0.0, 1), LaggedAxis(3.7, 1.2, 0.05, 0.3, 0.1, 2))
+
+
+@pytest.mark.parametrize("vehicle", LAGGED, ids=["lag", "second_order"])
+def test_a_vehicle_with_a_lag_is_unstable_just_above_its_delay_margin(vehicle: LaggedAxis) -> None:
+    law = law_for("predictor", 1.5)
+
+    margin = margins(law, vehicle).delay
+    assert 0.05 < margin < 1.0
+    assert growth(law, vehicle._replace(delay=vehicle.delay + margin - 0.005)) < 1
+    assert growth(law, vehicle._replace(delay=vehicle.delay + margin + 0.005)) > 1
+
+
+@pytest.mark.parametrize("vehicle", LAGGED, ids=["lag", "second_order"])
+def test_the_sampled_response_of_a_lag_is_the_sum_of_the_aliases_of_its_continuous_one(vehicle: LaggedAxis) -> None:
+    w = np.array([0.3, 2.0, 11.0, 60.0])
+
+    s = 1j * (w + 2 * np.pi / PERIOD * np.arange(-4000, 4001)[:, None])
+    held = (1 - np.exp(-s * PERIOD)) / (s * PERIOD)
+    structure = structure_named("second_order_zero" if vehicle.order == 2 else "first_order_delay_lag")
+    point = Predictor(vehicle.gain, vehicle.damping, vehicle.delay, {"lag": vehicle.lag, "zero": vehicle.zero})
+    continuous = velocity_per_command(structure, point, s.imag) / s * np.exp(-s * LATENCY)
+    np.testing.assert_allclose(
+        vehicle_response(vehicle, PERIOD, LATENCY, w), (continuous * held).sum(axis=0), rtol=1e-6
+    )
+
+
+def test_a_lag_that_vanishes_leaves_the_margins_of_the_first_order_law() -> None:
+    law, (g, b, delay) = LAWS["predictor"], VEHICLE
+
+    plain, lagged = margins(law, VEHICLE), margins(law, LaggedAxis(g, b, delay, 1e-5, 0.0, 1))
+    assert (lagged.peak, lagged.delay, lagged.phase) == pytest.approx((plain.peak, plain.delay, plain.phase), rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -5,11 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from models import VEHICLE, Point, next_fit
+from rotorfit.control.loop_vehicle import LaggedAxis
+from rotorfit.control.margins import margins
 from rotorfit.control.retuning import FASTER, Flown, Retuned, Retuning
 from rotorfit.control.tuning import tune
-from rotorfit.core.model import Model, Plain, first_order
+from rotorfit.core.model import Model, Plain, Predictor, first_order
+from rotorfit.planning.axis_information import AxisBelief
 
 pytestmark = pytest.mark.flights
 
@@ -63,19 +67,28 @@ def test_after_a_change_all_that_the_settled_fit_told_may_be_carried_over() -> N
     assert bandwidth("other", "limits") == bandwidth("limits") > bandwidth("other")
 
 
-def lagged() -> Model:
-    """The same with a lag, and the first-order law beside it."""
+def lagged(lag: float = 0.1) -> Model:
+    """The same with a lag, and the first-order law beside it, which has the lag in its delay."""
     model = of_x()
-    x = model.axes["x"]
+    x, (g, b, tau) = model.axes["x"], VEHICLE["x"]
     plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
-    return replace(model, axes={**model.axes, "x": replace(x, structure="first_order_delay_lag", plain=plain)})
+    own = replace(
+        x, structure="first_order_delay_lag", plain=plain, predictor=Predictor(g, b, tau - 0.8 * lag, {"lag": lag})
+    )
+    names = (*model.covariance_names, "x.lag")
+    covariance = block_diag(model.covariance, [[(0.02 * lag) ** 2]])
+    return replace(model, axes={**model.axes, "x": own}, covariance_names=names, covariance=covariance)
 
 
-def test_an_axis_with_a_lag_is_tuned_for_the_first_order_law_beside_it() -> None:
+def test_an_axis_with_a_lag_has_gains_of_the_first_order_law_beside_it_and_margins_of_its_own() -> None:
     (found,) = looks(Retuning(), lagged(), lagged())
 
-    assert found.tuning.axes["x"].law == tune(of_x(), axes=("x",)).axes["x"].law
-    assert "not for first_order_delay_lag" in found.tuning.axes["x"].note
+    x, (g, b, tau) = found.tuning.axes["x"], VEHICLE["x"]
+    assert (x.law.input, x.law.damping, x.law.delay) == VEHICLE["x"]
+    own, plain = margins(x.law, LaggedAxis(g, b, tau - 0.08, 0.1, 0.0, 1)), margins(x.law, AxisBelief(*VEHICLE["x"]))
+    assert (x.margins.peak, x.margins.delay) == pytest.approx((own.peak, own.delay))
+    assert abs(own.peak - plain.peak) > 0.01
+    assert "margins its own of first_order_delay_lag" in x.note
 
 
 def test_fits_that_move_by_their_noise_never_make_it_chatter() -> None:

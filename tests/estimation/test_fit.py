@@ -439,7 +439,7 @@ def gated(begin: float, end: float, factor: float = 0.0) -> Callable[[Array], Ar
 
 
 def test_excitation_at_the_very_end_of_a_long_flight_is_found() -> None:
-    late = flown(Truth(), gated(98.0, 108.0), 108.0, 3)
+    late = flown(Truth(), gated(100.5, 108.0), 108.0, 3)
 
     axis = fit([late], axes=("z",), structure="first_order_delay").model.axes["z"]
     assert statuses(axis) == {"ok"}

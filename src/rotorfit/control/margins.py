@@ -22,9 +22,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from rotorfit.control.control_law import AxisLaw, held_step, linear_system, whole_periods
+from rotorfit.control.control_law import AxisLaw, linear_system, whole_periods
+from rotorfit.control.loop_vehicle import LoopVehicle, vehicle_step
 from rotorfit.core.frames import Array
-from rotorfit.planning.axis_information import AxisBelief
 
 SLOWEST, POINTS = 1e-3, 600
 """Lowest frequency of the grid, as a share of the Nyquist frequency, and its size; crossings are refined by root
@@ -56,26 +56,26 @@ class Margins:
     crossover: float
 
 
-def closed_loop(law: AxisLaw, vehicle: AxisBelief) -> Array:
+def closed_loop(law: AxisLaw, vehicle: LoopVehicle) -> Array:
     """Transition matrix of the loop from pose to pose, for a vehicle other than the law may assume, shape (n, n).
 
-    States: the vehicle's position and velocity, then those of the law.
+    States: the vehicle's position, velocity and, with a lag, third state; then those of the law.
     """
     reach = vehicle.delay + law.latency
     whole, _ = whole_periods(reach, law.period)
     A, B, _ = linear_system(law, whole + 2)
-    step, late, new = held_step(vehicle.damping, reach, law.period)
-    n = len(A)
-    M = np.zeros((2 + n, 2 + n))
-    M[:2, :2] = step[:2, :2]
-    M[:2, 5 + whole] += vehicle.gain * new[:2]
-    M[:2, 6 + whole] += vehicle.gain * late[:2]
-    M[2:, 2:] = A
-    M[2:] += np.outer(B, M[0])
+    step, late, new = vehicle_step(vehicle, reach, law.period)
+    m, n = len(step), len(A)
+    M = np.zeros((m + n, m + n))
+    M[:m, :m] = step
+    M[:m, m + 3 + whole] += new
+    M[:m, m + 4 + whole] += late
+    M[m:, m:] = A
+    M[m:] += np.outer(B, M[0])
     return M
 
 
-def spectral_radius(law: AxisLaw, vehicle: AxisBelief) -> float:
+def spectral_radius(law: AxisLaw, vehicle: LoopVehicle) -> float:
     """Largest modulus of the eigenvalues of the closed loop; below 1 it is stable."""
     return float(np.abs(np.linalg.eigvals(closed_loop(law, vehicle))).max())
 
@@ -87,18 +87,21 @@ def law_response(law: AxisLaw, w: Array) -> Array:
     return np.asarray(z[..., 0, 0] * (np.linalg.solve(z * np.eye(len(A)) - A, B[:, None])[..., 0] @ C))
 
 
-def vehicle_response(vehicle: AxisBelief, period: float, latency: float, w: Array) -> Array:
+def vehicle_response(vehicle: LoopVehicle, period: float, latency: float, w: Array) -> Array:
     """P(e^(i w h)), from the command to the measured pose, complex, shape of w [rad/s]."""
     reach = vehicle.delay + latency
     whole, _ = whole_periods(reach, period)
-    step, late, new = held_step(vehicle.damping, reach, period)
-    z = np.exp(1j * w * period)
-    new, late = vehicle.gain * new, vehicle.gain * late
-    p, v = (new[i] * z ** float(-whole) + late[i] * z ** float(-whole - 1) for i in (0, 1))
-    return np.asarray((p + step[0, 1] * v / (z - step[1, 1])) / (z - 1.0))
+    step, late, new = vehicle_step(vehicle, reach, period)
+    z = np.exp(1j * w * period)[..., None]
+    effect = new * z ** float(-whole) + late * z ** float(-whole - 1)
+    if len(step) == 2:
+        rest = effect[..., 1:] / (z - step[1, 1])
+    else:
+        rest = np.linalg.solve(z[..., None] * np.eye(len(step) - 1) - step[1:, 1:], effect[..., 1:, None])[..., 0]
+    return np.asarray((effect[..., 0] + rest @ step[0, 1:]) / (z[..., 0] - 1.0))
 
 
-def open_loop(law: AxisLaw, vehicle: AxisBelief) -> Callable[[Array], Array]:
+def open_loop(law: AxisLaw, vehicle: LoopVehicle) -> Callable[[Array], Array]:
     """L as a function of the frequency [rad/s]."""
     return lambda w: -law_response(law, w) * vehicle_response(vehicle, law.period, law.latency, w)
 
@@ -108,7 +111,7 @@ def frequencies(period: float, points: int = POINTS) -> Array:
     return np.pi / period * np.geomspace(SLOWEST, 1.0 - 1e-9, points)
 
 
-def margins(law: AxisLaw, vehicle: AxisBelief) -> Margins:
+def margins(law: AxisLaw, vehicle: LoopVehicle) -> Margins:
     """Margins of a law around a vehicle; none of them is left if the loop is unstable."""
     L = open_loop(law, vehicle)
     w = frequencies(law.period)
@@ -132,7 +135,7 @@ def margins(law: AxisLaw, vehicle: AxisBelief) -> Margins:
     )
 
 
-def delay_margin(law: AxisLaw, vehicle: AxisBelief) -> float:
+def delay_margin(law: AxisLaw, vehicle: LoopVehicle) -> float:
     """The least additional delay that makes a stable loop unstable [s]; infinite if none up to `LONGEST` does.
 
     The eigenvalues are evaluated every quarter of a period, and the crossing is refined by root finding.

@@ -37,7 +37,18 @@ from rotorfit.control.robustness import believed_possible, doubt, share_beyond
 from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, RATE, AxisTuning, Tuning, tune
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Model, Plain, Predictor, Weighed, first_order, weighed
+from rotorfit.core.model import (
+    COEFFICIENTS,
+    NORMAL,
+    STRUCTURE,
+    Axis,
+    Model,
+    Plain,
+    Predictor,
+    Weighed,
+    first_order,
+    weighed,
+)
 
 LOST = 2.0
 """Peak of the sensitivity above which the margins are lost. Source: as of `tuning.PEAK`, the upper end of its range."""
@@ -265,10 +276,16 @@ def _normal(law: Weighed) -> tuple[Array, Array]:
 
 
 def _with_law(model: Model, axis: str, law: Weighed) -> Model:
-    """The model with a first-order law beside an axis, from which its gains are made."""
+    """The model with a first-order law beside an axis, from which its gains are made.
+
+    Where that is not the law of the fit, it is all that is known of the vehicle, and the margins are its own, too.
+    """
     nothing = dict.fromkeys(COEFFICIENTS)
     plain = Plain(None, None, None, nothing, {}, dict.fromkeys(COEFFICIENTS, "ok"), law)  # what has settled is known
-    return replace(model, axes={**model.axes, axis: replace(model.axes[axis], plain=plain)})
+    known = replace(model.axes[axis], plain=plain)
+    if law != first_order(model, axis):
+        known = replace(known, structure=STRUCTURE, laws=(), predictor=law.predictor)
+    return replace(model, axes={**model.axes, axis: known})
 
 
 def _apart(law: AxisLaw, model: Model, axis: str) -> float:

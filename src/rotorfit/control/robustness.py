@@ -1,15 +1,26 @@
 """Margins under uncertainty: a law around each of many vehicles drawn from a model's covariance."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorfit.control.control_law import AxisLaw
+from rotorfit.control.loop_vehicle import LoopVehicle, loop_vehicle
 from rotorfit.control.margins import frequencies, law_response, spectral_radius, vehicle_response
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
-from rotorfit.core.model import COEFFICIENTS, Model, first_order
+from rotorfit.core.laws import structure_named
+from rotorfit.core.model import (
+    STRUCTURE,
+    Model,
+    Predictor,
+    Weighed,
+    first_order,
+    predictor_of,
+    weighed,
+)
+from rotorfit.dynamics.transfer_function import has_transfer_function
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 
@@ -52,7 +63,7 @@ class Doubt:
         seed: Seed of the draws.
     """
 
-    vehicles: tuple[AxisBelief, ...]
+    vehicles: tuple[LoopVehicle, ...]
     frequency: Array
     response: np.ndarray
     seed: int
@@ -70,10 +81,22 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
     return AxisBelief(point.input, point.damping, max(point.delay, 0.0))
 
 
-def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[AxisBelief]:
-    """Vehicles drawn for an axis from the normal distribution of the model, with no delay below 0.
+def known_vehicle(model: Model, axis: str) -> LoopVehicle:
+    """The axis under its own law, where that has a transfer function; else as `known_dynamics`.
 
-    A delay that the model does not know is drawn as that of commercial quadrotors, `belief.DELAY`.
+    Raises:
+        ModelError: The axis was not excited.
+    """
+    point = predictor_of(model, axis)
+    return loop_vehicle(structure_named(model.axes[axis].structure), point) or known_dynamics(model, axis)
+
+
+def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[LoopVehicle]:
+    """Vehicles drawn for an axis from the model: laws by their weights, parameters by their normal distributions.
+
+    A lag is drawn by its logarithm. No delay is below 0; one that the model does not know is drawn as that of
+    commercial quadrotors, `belief.DELAY`. An axis whose laws have no transfer function is drawn under the first-order
+    law beside them.
 
     Args:
         model: From a fit.
@@ -85,19 +108,60 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Ax
         ModelError: The axis was not excited, or the model does not say how well it is known.
     """
     rng = np.random.default_rng(seed)
-    law = first_order(model, axis)
-    if not law.stderr:
+    laws = _own_laws(model, axis)
+    if not all(law.stderr for law in laws):
         raise ModelError(f"the model has no covariance of {axis}, so no margin can be stated: fit its flights again")
-    values = np.tile([law.predictor.input, law.predictor.damping, law.predictor.delay], (count, 1))
-    at = [COEFFICIENTS.index(name) for name in law.stderr]
-    values[:, at] += rng.multivariate_normal(np.zeros(len(at)), law.covariance, count)
-    if "delay" not in law.stderr:
-        values[:, 2] = rng.normal(*DELAY, count)
-    values[:, 2] = np.maximum(values[:, 2], 0.0)
-    return [AxisBelief(*row) for row in values.tolist()]
+    weight = np.array([law.weight for law in laws])
+    counts = rng.multinomial(count, weight / weight.sum()) if len(laws) > 1 else [count]
+    return [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng)]
 
 
-def doubt(vehicles: Sequence[AxisBelief], period: float, latency: float, seed: int) -> Doubt:
+def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
+    """The laws that an axis may have, with the uncertainty of the vehicle; first order where they do not serve."""
+    known, plain = model.axes[axis], first_order(model, axis)
+    structure = structure_named(known.structure)
+    if known.predictor is None or not has_transfer_function(structure):
+        return (plain,)
+    names = [name.partition(".")[2] for name in model.covariance_names if name.startswith(f"{axis}.")]
+    at = [model.covariance_names.index(f"{axis}.{name}") for name in names]
+    chosen = weighed(known.structure, known.predictor, names, model.covariance[np.ix_(at, at)])
+    if len(known.laws) < 2:
+        return (plain,) if known.structure == STRUCTURE else (chosen,)
+    own = known.laws[0]
+    wider = {name: chosen.stderr[name] / own.stderr[name] for name in names if name in own.stderr}
+    most = max(wider.values(), default=1.0)
+    others = [
+        replace(law, stderr={name: error * wider.get(name, most) for name, error in law.stderr.items()})
+        for law in known.laws[1:]
+    ]
+    return (replace(chosen, weight=own.weight), *others)
+
+
+def _drawn(law: Weighed, count: int, rng: np.random.Generator) -> list[LoopVehicle]:
+    """Vehicles drawn from the distribution of one law."""
+    structure, point = structure_named(law.structure), law.predictor
+    extras = {one.name: one for one in structure.extras}
+    center = {"input": point.input, "damping": point.damping, "delay": point.delay, **point.extra}
+    by_size = [name in extras and extras[name].logarithmic for name in law.stderr]
+    scale = np.array([1 / center[name] if log else 1.0 for name, log in zip(law.stderr, by_size, strict=True)])
+    off = rng.multivariate_normal(np.zeros(scale.size), law.covariance * np.outer(scale, scale), count)
+    values = {name: np.full(count, value) for name, value in center.items()}
+    for name, log, moved in zip(law.stderr, by_size, off.T, strict=True):
+        values[name] = values[name] * np.exp(moved) if log else values[name] + moved
+    if "delay" not in law.stderr and structure.delayed:
+        values["delay"] = rng.normal(*DELAY, count)
+    for name, extra in extras.items():
+        values[name] = np.clip(values[name], extra.low, extra.high)
+    drawn = []
+    for row in zip(*(values[name].tolist() for name in center), strict=True):
+        gain, damping, delay, *rest = row
+        drawn.append(
+            loop_vehicle(structure, Predictor(gain, damping, delay, dict(zip(point.extra, rest, strict=True))))
+        )
+    return [one for one in drawn if one is not None]
+
+
+def doubt(vehicles: Sequence[LoopVehicle], period: float, latency: float, seed: int) -> Doubt:
     """Vehicles with their frequency responses, computed once for all laws that are tried.
 
     Args:

@@ -13,6 +13,7 @@ from html import escape
 import numpy as np
 
 from rotorfit.control.control_law import KINDS, AxisLaw, Kind, law_of_bandwidth, linear_system
+from rotorfit.control.loop_vehicle import LaggedAxis, LoopVehicle
 from rotorfit.control.margins import Margins, closed_loop, margins
 from rotorfit.control.robustness import (
     Doubt,
@@ -21,15 +22,17 @@ from rotorfit.control.robustness import (
     doubt,
     highest_peak,
     known_dynamics,
+    known_vehicle,
     robustness,
 )
 from rotorfit.core.display import html_table, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
-from rotorfit.core.laws import FIRST_ORDER_DELAY
+from rotorfit.core.laws import FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.model import COEFFICIENTS, MEND, Model, first_order, unknown_why
 from rotorfit.core.plain import by_reason
+from rotorfit.dynamics.transfer_function import has_transfer_function
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale
@@ -153,8 +156,9 @@ def tune(
             refused[axis] = doubts
             continue
         vehicle = known_dynamics(model, axis)
+        own = known_vehicle(model, axis)
         possible = doubt(believed_possible(model, axis, draws, seed), 1 / rate, latency, seed)
-        found = _fastest(model, axis, kind, vehicle, possible, 1 / rate, latency, peak)
+        found = _fastest(model, axis, kind, vehicle, own, possible, 1 / rate, latency, peak)
         if isinstance(found, str):
             refused[axis] = found
         else:
@@ -203,6 +207,7 @@ def _fastest(
     axis: str,
     kind: Kind,
     vehicle: AxisBelief,
+    own: LoopVehicle,
     possible: Doubt,
     period: float,
     latency: float,
@@ -217,8 +222,8 @@ def _fastest(
                 break
         else:
             continue
-        noise = _command_noise(model, axis, law, vehicle)
-        quietest = AxisTuning(law, bandwidth, margins(law, vehicle), known, noise, _note(model, axis, noise))
+        noise = _command_noise(model, axis, law, own)
+        quietest = AxisTuning(law, bandwidth, margins(law, own), known, noise, _note(model, axis, noise))
         if noise is None or noise <= RESTLESS:
             break
     frozen = axis in frozen_axes(model.findings)
@@ -233,7 +238,7 @@ def _holds(known: Robustness, law: AxisLaw, peak: float) -> bool:
     return known.unstable == 0 and known.peak <= peak and known.delay >= DELAY_SHARE * law.reach
 
 
-def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: AxisBelief) -> float | None:
+def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: LoopVehicle) -> float | None:
     """Standard deviation of the command due to white noise of the poses in the closed loop, as a share of full scale.
 
     Source: the stationary covariance X = M X M' + B B' of a stable linear system.
@@ -243,10 +248,11 @@ def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: AxisBelief) -
     variance, scale = model.axes[axis].noise.get("pose_variance"), full_scale(model.card, axis)
     if variance is None or not np.isfinite(scale):
         return None
-    M = closed_loop(law, vehicle)
+    M, states = closed_loop(law, vehicle), 3 if isinstance(vehicle, LaggedAxis) else 2
     B = np.zeros(len(M))
-    B[2:] = linear_system(law, len(M) - 5)[1]
-    return float(np.sqrt(variance * solve_discrete_lyapunov(M, np.outer(B, B))[5, 5]) / scale)
+    B[states:] = linear_system(law, len(M) - states - 3)[1]
+    command = states + 3
+    return float(np.sqrt(variance * solve_discrete_lyapunov(M, np.outer(B, B))[command, command]) / scale)
 
 
 def _note(model: Model, axis: str, noise: float | None) -> str:
@@ -256,7 +262,8 @@ def _note(model: Model, axis: str, noise: float | None) -> str:
     if axis in frozen_axes(model.findings):
         notes.append(MEND)
     if known.structure != FIRST_ORDER_DELAY.name:
-        notes.append(f"tuned for the first-order law with a delay, not for {known.structure}")
+        whose = "its own" if has_transfer_function(structure_named(known.structure)) else "not those"
+        notes.append(f"gains of the first-order law with a delay, margins {whose} of {known.structure}")
     status = known.plain.status if known.plain and known.structure != FIRST_ORDER_DELAY.name else known.status
     if unknown := [name for name in COEFFICIENTS[:2] if status[name] != "ok"]:
         said = " and ".join(f"{name} ({status[name].replace('_', ' ')})" for name in unknown)
