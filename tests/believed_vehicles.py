@@ -133,8 +133,9 @@ class BelievedVehicle:
     def now(self) -> int:
         return round(self._step * STEP * 1e9)
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         self._sent.append((self._step, np.array(command)))
+        return command
 
     def act(self, action: Action) -> None:
         """Nothing is to be done."""

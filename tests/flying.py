@@ -64,11 +64,11 @@ class Watched:
     def since(self) -> float:
         return (self.link.now - self.began) / SECOND
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         self.sent.append((self.since, list(command)))
         if self.since >= self.dead_from:
             raise LinkError("the radio is gone")
-        self.link.send(command)
+        return self.link.send(command)
 
     def receive(self, until: int) -> list[Sample]:
         if self.since >= self.dead_from:

@@ -32,6 +32,7 @@ class Autopilot:
         self._setpoints: list[int] = []
         self._beat = self._state = -SECOND
         self.refuse: dict[int, int] = {}  # commands to the results that answer them instead of obedience
+        self.mute: set[int] = set()  # commands that it neither obeys nor answers
         self.deaf = False  # sends nothing, for tests
         self.requests: list[int] = []
         self.goes_on = 0.5
@@ -104,6 +105,8 @@ class Autopilot:
 
     def _on_command_long(self, message: Any) -> None:
         self.requests.append(message.command)
+        if message.command in self.mute:
+            return
         result = self.refuse.get(message.command)
         if result is None:
             result = ACCEPTED if self._obey(message) else DENIED

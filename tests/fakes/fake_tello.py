@@ -31,6 +31,7 @@ class Tello:
         self._charge = 1.0
         self.deaf = False  # sends nothing, for tests
         self.heard: list[str] = []
+        self.says: dict[str, str] = {}  # words to the answers that they get instead, for tests
 
     def step(self, wait: float = 0.002) -> None:
         ready, _, _ = select.select((self.socket,), (), (), wait)
@@ -60,7 +61,8 @@ class Tello:
             {"takeoff": self._room.take_off, "land": self._room.land}[word]()
         known = word in ("command", "takeoff", "land", "mdirection") or (word == "mon" and self._pads)
         if not self.deaf:
-            self.socket.sendto(b"ok" if known else b"unknown command: " + text.encode("ascii"), client)
+            answer = self.says.get(word, "ok" if known else f"unknown command: {text}")
+            self.socket.sendto(answer.encode("ascii"), client)
 
     def _state(self) -> str:
         mid, x, y, z, yaw = -2, -200, -200, -200, 0

@@ -186,6 +186,46 @@ def test_it_hovers_on_where_landing_is_not_asked_for(tmp_path: Path) -> None:
     assert inner._room.truth().mode == "flying"
 
 
+def test_the_plan_begins_when_the_vehicle_obeys_and_not_before(tmp_path: Path) -> None:
+    link = Watched(room_link())
+    link.undone = "it is not in OFFBOARD"
+
+    def obeying_from_2_s(since: float, samples: list[Sample]) -> list[Sample]:
+        link.undone = "" if since > 2.0 else link.undone
+        return samples
+
+    link.samples = obeying_from_2_s
+    result = flown(link, tmp_path / "log.mcap", plan_of(3.0))
+
+    assert result.reason == "completed"
+    assert not any(any(command) for since, command in link.sent if since < 2.0)
+    assert readable(tmp_path / "log.mcap")[:2] == ["hover begins", "plan begins"]
+
+
+def test_a_vehicle_that_does_not_obey_is_given_up_in_hover(tmp_path: Path) -> None:
+    link = Watched(room_link())
+    link.undone = "it says that it is on the ground"
+    result = flown(link, tmp_path / "log.mcap", plan_of(3.0))
+
+    assert (result.reason, result.duration) == ("not_obeyed", 0.0)
+    assert result.text == "the vehicle does not obey commands: it says that it is on the ground"
+    assert not any(any(command) for _, command in link.sent)
+
+
+def test_a_landing_that_the_vehicle_does_not_take_is_told(tmp_path: Path) -> None:
+    link = Watched(room_link())
+
+    def deaf_to_landing(_since: float, samples: list[Sample]) -> list[Sample]:
+        link.undone = "it did not land: denied" if link.acts else ""
+        return samples
+
+    link.samples = deaf_to_landing
+    result = flown(link, tmp_path / "log.mcap", plan_of(3.0))
+
+    assert (result.reason, result.landed) == ("completed", False)
+    assert result.notes[-1].endswith("it did not land: denied): land by other means")
+
+
 # Faults
 
 

@@ -229,6 +229,80 @@ def test_silence_is_a_lost_link(bench: Bench) -> None:
         bench.fly(5.0)
 
 
+def test_hover_and_landing_are_sent_over_a_link_that_hears_nothing_any_more(bench: Bench) -> None:
+    bench.room.flight_mode = "flying"
+    bench.link.greet()
+    bench.fly(3.0, (0.4, 0.0, 0.0, 0.0))
+    bench.autopilot.deaf = True
+    bench.link.receive(bench.instant + 4 * SECOND)
+
+    for command in ((0.4, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)):
+        with pytest.raises(LinkError, match="no heartbeat for 3 s"):
+            bench.link.send(command)
+    bench.link.act("land")
+    bench.link.receive(bench.instant + SECOND)
+    assert bench.room.asked == ["land"]
+
+
+def test_the_link_says_what_keeps_the_vehicle_from_obeying(bench: Bench) -> None:
+    name, mode = ("ArduPilot", "GUIDED") if bench.autopilot.ardupilot else ("PX4", "OFFBOARD")
+    bench.link.greet()
+    bench.link.receive(bench.instant + SECOND)
+    assert bench.link.undone == f"{name} says that it is on the ground"
+    bench.room.flight_mode = "flying"
+    bench.link.receive(bench.instant + SECOND)
+    assert bench.link.undone == f"{name} is not in {mode}"
+    bench.fly(3.0)
+    assert bench.link.undone == ""
+
+
+def test_messages_that_do_not_come_are_asked_for_again(bench: Bench) -> None:
+    bench.link.greet()
+    bench.fly(1.0)
+    once = bench.autopilot.requests.count(511)
+    bench.fly(6.0)
+    assert bench.autopilot.requests.count(511) > once  # of a room that shows neither pose nor battery
+    bench.room.waiting += [Sample("battery", 0, 0, (0.9,)), Sample("pose", 0, 0, (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0))]
+    bench.fly(1.0)
+    done = bench.autopilot.requests.count(511)
+    bench.fly(4.0)
+    assert bench.autopilot.requests.count(511) == done
+
+
+def test_a_refused_mode_is_not_asked_for_again_and_hover_may_be_sent(bench: Bench) -> None:
+    bench.room.flight_mode = "flying"
+    bench.autopilot.refuse[176] = 2
+    bench.link.greet()
+    with pytest.raises(LinkError, match="denied"):
+        bench.fly(4.0)
+    asked = bench.autopilot.requests.count(176)
+
+    bench.autopilot.refuse.clear()
+    bench.fly(3.0)
+    assert bench.autopilot.requests.count(176) == asked == 1
+    with pytest.raises(LinkError, match="denied"):
+        bench.link.send((0.1, 0.0, 0.0, 0.0))
+    with pytest.raises(LinkError, match="has not flown under our commands"):
+        bench.link.act("land")
+
+
+@pytest.mark.parametrize("answer", [2, None])
+def test_a_landing_that_is_refused_or_not_answered_stays_undone(bench: Bench, answer: int | None) -> None:
+    bench.room.flight_mode = "flying"
+    bench.link.greet()
+    bench.fly(3.0)
+    if answer is None:
+        bench.autopilot.mute.add(21)
+    else:
+        bench.autopilot.refuse[21] = answer
+    bench.link.act("land")
+    with pytest.raises(LinkError, match=r"did not land: (denied|no answer)"):
+        bench.link.receive(bench.instant + 8 * SECOND)
+
+    bench.link.receive(bench.instant + SECOND)  # once is enough
+    assert "did not land" in bench.link.undone
+
+
 def test_commands_that_reach_the_autopilot_late_are_a_lost_link_but_for_the_hover_after_it(bench: Bench) -> None:
     bench.room.flight_mode = "flying"
     bench.link.greet()

@@ -21,8 +21,9 @@ class Half:
         self.sent: list[Sequence[float]] = []
         self.acted: list[str] = []
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         self.sent.append(command)
+        return command
 
     def receive(self, until: int) -> list[Sample]:
         assert until == 7

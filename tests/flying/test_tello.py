@@ -99,9 +99,33 @@ def test_a_lost_link_is_an_error_at_the_next_command(room: StubRoom) -> None:
         link = tello.open_link(f"{HOST}:{port}", load_card("tello"))
         drone.deaf = True
         link.receive(link.now + 5 * TENTH)
-        with pytest.raises(LinkError, match=r"no state .* the link is lost"):
-            link.send((0.0, 0.0, 0.0, 0.0))
+        for command in ((0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)):
+            with pytest.raises(LinkError, match=r"no state .* the link is lost"):
+                link.send(command)
+        link.receive(link.now + TENTH)
         link.act("close")
+
+    assert room.commands == [(0.0, 0.0, 0.0, 0.0)]  # hover is sent all the same
+
+
+def test_a_landing_is_asked_for_until_it_is_answered_with_ok(room: StubRoom) -> None:
+    port = free_port()
+    drone = Tello(room, HOST, port)
+    with drone.socket, running(drone.step):
+        link = tello.open_link(f"{HOST}:{port}", load_card("tello"))
+        drone.says["land"] = "error Not joystick"
+        link.act("land")
+        said = [sample.text for sample in link.receive(link.now + 5 * TENTH) if sample.stream == "said"]
+        assert link.undone == "tello: it has not answered `land` with ok"
+        drone.says.clear()
+        link.receive(link.now + 5 * TENTH)
+        assert link.undone == ""
+        asked = drone.heard.count("land")
+        link.receive(link.now + 5 * TENTH)
+        link.act("close")
+
+    assert said[0] == "Tello answers land: error Not joystick"
+    assert drone.heard.count("land") == asked >= 3
 
 
 def test_nobody_there_is_one_line_that_says_what_to_try(room: StubRoom) -> None:
@@ -137,13 +161,15 @@ def test_a_port_that_is_taken_is_said() -> None:
 def test_sticks_are_whole_numbers_with_the_signs_of_the_sdk() -> None:
     fields = tello.tello_commands(CARD)
 
-    assert tello.stick_text(fields, (0.504, 0.25, 1.0, -0.1)) == "rc -25 50 100 10"
-    assert tello.stick_text(fields, (0.0, 0.0, 0.0, 0.0)) == "rc 0 0 0 0"
+    sticks = tello.sticks_of(fields, (0.504, 0.25, 1.0, -0.1))
+    assert list(sticks.values()) == [-25, 50, 100, 10]
+    assert tello.as_commanded(fields, sticks) == pytest.approx((0.5, 0.25, 1.0, -0.1))
+    assert list(tello.sticks_of(fields, (0.0, 0.0, 0.0, 0.0)).values()) == [0, 0, 0, 0]
 
 
 def test_more_than_full_stick_is_refused_not_clipped() -> None:
     with pytest.raises(LinkError, match="beyond full stick"):
-        tello.stick_text(tello.tello_commands(CARD), (1.02, 0.0, 0.0, 0.0))
+        tello.sticks_of(tello.tello_commands(CARD), (1.02, 0.0, 0.0, 0.0))
 
 
 def test_a_card_of_something_else_is_refused() -> None:

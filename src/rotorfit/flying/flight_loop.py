@@ -354,8 +354,7 @@ class _Flight:
             if not abs(value) <= most:  # NaN, too
                 raise _RefusedError(f"a command of {value:g} on {axis} was not sent: {most:g} is the largest")
         self._stamp = self.link.now
-        self.link.send(command)
-        self.recorder.command(self._stamp, command)
+        self.recorder.command(self._stamp, self.link.send(command))
         if self._phase:
             self._lateness.append(self._stamp - self._planned)
         if max(map(abs, command)) < ASKED:

@@ -63,12 +63,18 @@ class Link(Protocol):
         """What the vehicle was asked to do and does not."""
         ...
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         """Sends forward, left, up, counter-clockwise, in the unit of the card's commands. All zero means hover.
+
+        Hover is sent as long as there is a way to send it, even where nothing is heard any more.
+
+        Returns:
+            The command as the vehicle gets it: rounded where the protocol rounds.
 
         Raises:
             LinkError: The link is gone.
         """
+        ...
 
     def receive(self, until: int) -> list[Sample]:
         """Waits until the clock shows `until` [ns] and returns what has arrived since the last call, in order.

@@ -206,18 +206,22 @@ class MavlinkLink:
         for message, rate in self._missing.values():
             self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         """Sends a velocity; see `links.Link`. The first one in the air also requests the flight mode."""
         self._check()
-        self._tell_refusal()
         if self._commands is None:
             raise LinkError("mavlink: the link was opened for poses only")
-        if self._declined and any(command):
+        moves = any(command)
+        if not moves and self._silent:
+            self._set(self._commands, command)
+        self._check_heard()
+        self._tell_refusal()
+        if self._declined and moves:
             raise LinkError(self._declined)
         if self._landing or (self._climbing and self._known.name == "ArduPilot"):
-            if any(command):
+            if moves:
                 raise LinkError(f"mavlink: not sent: {self.undone or 'the vehicle lands'}")
-            return  # ArduPilot would take a velocity for the end of the take-off, and both for the end of a landing
+            return command  # ArduPilot would take it for the end of the take-off, and both for the end of a landing
         if not self._sending:  # answers to earlier requests may have waited for us
             self._sending, self._trip, self._echoed = True, 0, wall_clock() if self._echoed else 0
             self._requests.clear()
@@ -225,6 +229,7 @@ class MavlinkLink:
         self._set(self._commands, command)
         if not self._engaged and (not self._known.streams or wall_clock() - self._first_setpoint > STREAMED):
             self._engage(wall_clock())
+        return command
 
     def _set(self, commands: CommandFields, command: Sequence[float]) -> None:
         self._last_setpoint = wall_clock()
@@ -251,6 +256,7 @@ class MavlinkLink:
         self._check()
         self._steps.clear()
         if action == "take_off":
+            self._check_heard()
             self._climbing, self._landing, self._engaged = True, False, False
             self._ask(*self._known.steps)
         elif self._ours:
@@ -269,10 +275,16 @@ class MavlinkLink:
     def _check(self) -> None:
         if not self._open:
             raise LinkError("mavlink: the link is closed")
-        if wall_clock() - self._heard > SILENCE:
-            raise LinkError(f"mavlink: no heartbeat for {SILENCE / SECOND:g} s; the link is lost")
         if self._trouble:
             raise LinkError(self._trouble)
+
+    @property
+    def _silent(self) -> bool:
+        return wall_clock() - self._heard > SILENCE
+
+    def _check_heard(self) -> None:
+        if self._silent:
+            raise LinkError(f"mavlink: no heartbeat for {SILENCE / SECOND:g} s; the link is lost")
 
     def _tell_refusal(self) -> None:
         """Raises once if the autopilot has refused a step; the hover that follows must be sent."""

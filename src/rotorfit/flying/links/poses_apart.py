@@ -58,9 +58,9 @@ class Joined:
         """That of the first link, which may learn it from the vehicle later."""
         return self._commands.silence
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         """Sends over the first link."""
-        self._commands.send(command)
+        return self._commands.send(command)
 
     def receive(self, until: int) -> list[Sample]:
         """Poses of the second link, everything else of the first, in the order of arrival."""

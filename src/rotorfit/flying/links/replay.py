@@ -84,8 +84,9 @@ class ReplayLink:
         self._samples, self._name, self._next = samples, name, 0
         self.now = samples[0].received - 1
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         """Nobody listens; see `links.Link`."""
+        return command
 
     def receive(self, until: int) -> list[Sample]:
         """The samples up to an instant of the log; see `links.Link`."""

@@ -134,7 +134,7 @@ class Ros1Link:
         """The wall clock [ns]."""
         return wall_clock()
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         """Publishes a command; see `links.Link`."""
         publisher = self._publishers.get("command")
         if not self._open or self._commands is None or publisher is None:
@@ -145,6 +145,7 @@ class Ros1Link:
         if is_stamped(self._commands):
             message.header.stamp = self._rospy.Time(*divmod(wall_clock(), 1_000_000_000))
         publisher.publish(message)
+        return command
 
     def receive(self, until: int) -> list[Sample]:
         """What has come since the last call; see `links.Link`."""

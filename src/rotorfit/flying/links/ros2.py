@@ -117,7 +117,7 @@ class Ros2Link:
         """The wall clock [ns]."""
         return wall_clock()
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         """Publishes a command; see `links.Link`."""
         if not self._open or self._commands is None:
             raise LinkError("ros2: the link is closed, or was opened for poses only")
@@ -128,6 +128,7 @@ class Ros2Link:
         if is_stamped(self._commands):
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(wall_clock(), _SECOND)
         publisher.publish(message)
+        return command
 
     def receive(self, until: int) -> list[Sample]:
         """What has come since the last call; see `links.Link`."""

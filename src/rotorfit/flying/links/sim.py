@@ -137,9 +137,10 @@ class SimLink:
         """Simulated time [ns]."""
         return EPOCH + self._room.now
 
-    def send(self, command: Sequence[float]) -> None:
+    def send(self, command: Sequence[float]) -> Sequence[float]:
         """Sends a command; see `links.Link`."""
         self._room.send(command)
+        return command
 
     def receive(self, until: int) -> list[Sample]:
         """Lets simulated time pass; see `links.Link`."""

@@ -74,7 +74,7 @@ class PilotedRoom:
         """Simulated time [ns]."""
         return self._room.now
 
-    def send(self, _command: Sequence[float]) -> None:
+    def send(self, _command: Sequence[float]) -> Sequence[float]:
         """Refused: the simulated pilot flies."""
         raise LinkError("sim: a listener sends nothing")
 

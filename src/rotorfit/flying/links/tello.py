@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
+from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
 from rotorfit.flying.links.card_fields import (
     CommandFields,
@@ -67,12 +68,13 @@ class TelloLink:
 
     def __init__(self, card: Card, host: str, state_port: int) -> None:
         self.live = True
-        self.fail_safe, self.silence, self.undone = card.fail_safe or FAIL_SAFE, Silence(card.hold or LANDS), ""
+        self.fail_safe, self.silence = card.fail_safe or FAIL_SAFE, Silence(card.hold or LANDS)
         self._commands, self._poses = tello_commands(card), pose_fields(card)
         self._drone, self._state_port = (_address(host), COMMAND_PORT), state_port
         self._talk, self._state = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._inbox: list[Sample] = []
         self._replies: list[str] = []
+        self._asked, self._asked_at = "", 0  # `takeoff` or `land` until it is answered with ok, and when it was sent
         self._heard = wall_clock()
         self._open = True
         try:
@@ -106,20 +108,26 @@ class TelloLink:
                 f"tello: it answers but sends no state to UDP port {self._state_port}; let the firewall pass it"
             )
 
-    def send(self, command: Sequence[float]) -> None:
-        """Sets the sticks; see `links.Link`."""
-        if self._silent():
+    def send(self, command: Sequence[float]) -> Sequence[float]:
+        """Sets the sticks, in whole per cent; see `links.Link`."""
+        sticks = sticks_of(self._commands, command)
+        silent = self._silent()
+        if not (silent and any(command)):
+            self._say("rc " + " ".join(map(str, sticks.values())))
+        if silent:
             raise LinkError(f"tello: no state from {self._drone[0]} for {SILENCE:g} s; the link is lost")
-        self._say(stick_text(self._commands, command))
+        return as_commanded(self._commands, sticks)
 
     def receive(self, until: int) -> list[Sample]:
         """What has arrived since the last call; see `links.Link`."""
         while self._open:
-            ready, _, _ = select.select((self._talk, self._state), (), (), seconds_until(until))
-            if not ready:
+            left = seconds_until(until)
+            ready, _, _ = select.select((self._talk, self._state), (), (), min(left, PATIENCE) if self._asked else left)
+            if not ready and seconds_until(until) <= 0:
                 break
             for one in ready:
                 self._take(one)
+            self._follow()
         arrived, self._inbox = self._inbox, []
         return arrived
 
@@ -127,8 +135,28 @@ class TelloLink:
         """`takeoff`, `land`, or closes; see `links.Link`."""
         if action == "close":
             self._close()
-        else:
-            self._say({"take_off": "takeoff", "land": "land"}[action])
+            return
+        self._asked, self._asked_at = {"take_off": "takeoff", "land": "land"}[action], wall_clock()
+        self._replies.clear()
+        self._say(self._asked)
+
+    @property
+    def undone(self) -> str:
+        """Whether `land` was answered; see `links.Link`."""
+        return "tello: it has not answered `land` with ok" if self._asked == "land" else ""
+
+    def _follow(self) -> None:
+        """Reads the answers to `takeoff` and `land`, and repeats `land`, which does no harm, until it is answered."""
+        for reply in self._replies:
+            if reply.lower() == "ok":
+                self._asked = ""
+            elif self._asked:
+                now = wall_clock()
+                self._inbox.append(Sample("said", now, now, (), f"Tello answers {self._asked}: {reply}"))
+        self._replies.clear()
+        if self._asked == "land" and wall_clock() - self._asked_at > 1e9 * PATIENCE:
+            self._asked_at = wall_clock()
+            self._say("land")
 
     def _silent(self) -> bool:
         return wall_clock() - self._heard > 1e9 * SILENCE
@@ -200,17 +228,24 @@ def tello_commands(card: Card) -> CommandFields:
     return fields
 
 
-def stick_text(fields: CommandFields, command: Sequence[float]) -> str:
-    """The `rc` command for forward, left, up, counter-clockwise in the unit of the card: whole numbers in -100..100.
+def sticks_of(fields: CommandFields, command: Sequence[float]) -> dict[str, int]:
+    """The sticks a to d for forward, left, up, counter-clockwise in the unit of the card: whole numbers in -100..100.
 
     Raises:
         LinkError: The command exceeds full stick.
     """
     raw = raw_values(fields, command)
-    sticks = [round(raw.get(stick, 0.0)) for stick in STICKS]
-    if max(map(abs, sticks)) > FULL_STICK:
-        raise LinkError(f"tello: a command of {max(map(abs, sticks))} % is beyond full stick; plan smaller amplitudes")
-    return "rc " + " ".join(map(str, sticks))
+    sticks = {stick: round(raw.get(stick, 0.0)) for stick in STICKS}
+    most = max(map(abs, sticks.values()))
+    if most > FULL_STICK:
+        raise LinkError(f"tello: a command of {most} % is beyond full stick; plan smaller amplitudes")
+    return sticks
+
+
+def as_commanded(fields: CommandFields, sticks: Mapping[str, int]) -> tuple[float, ...]:
+    """Forward, left, up, counter-clockwise in the unit of the card that the sticks say."""
+    channels = (fields.channels.get(axis) for axis in AXES)
+    return tuple(channel.in_si(float(sticks[str(channel.source)])) if channel else 0.0 for channel in channels)
 
 
 def state_from_text(text: str) -> dict[str, float]:
