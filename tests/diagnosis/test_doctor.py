@@ -413,6 +413,15 @@ def test_metres_read_as_millimetres(tmp_path: Path) -> None:
     assert "too small" in found["effect"]
 
 
+def test_one_axis_read_as_millimetres(tmp_path: Path) -> None:
+    log = Csv(flown())
+    assert ("unit_mistake", "z") not in said("info", *log.write(tmp_path))
+    log.pose[:, 2] *= 0.001
+
+    found = said("info", *log.write(tmp_path))["unit_mistake", "z"]
+    assert "z follows its command" in found["evidence"]
+
+
 @pytest.mark.parametrize(
     ("spoil", "remedy"),
     [
@@ -566,6 +575,17 @@ def test_commands_of_the_heading_that_the_card_takes_for_the_worlds(tmp_path: Pa
     card = CARD.replace("[command]", '[command]\nframe = "world"')
     told = said("info", *log.write(tmp_path, card))["command_frame", None]
     assert 'write frame = "heading"' in told["remedy"]
+
+
+@pytest.mark.parametrize("heading", [50.0, -120.0])
+def test_with_little_turning_commands_of_the_heading_are_told_by_where_it_was(tmp_path: Path, heading: float) -> None:
+    log = Csv(flown(steps(("x", "y"), seed=2), initial_yaw=np.radians(heading)))
+
+    told = said("info", *log.write(tmp_path, CARD.replace("[command]", '[command]\nframe = "world"')))
+    remedy = told["yaw_offset", None]["remedy"]
+    assert 'write frame = "heading"' in remedy
+    assert f"{heading:.0f} degrees" in remedy
+    assert "offset" not in remedy
 
 
 def test_mirrored_pose(tmp_path: Path) -> None:

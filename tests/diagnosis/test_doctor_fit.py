@@ -88,6 +88,19 @@ def test_responses_before_their_commands_and_the_offset_that_the_remedy_gives(tm
     assert mended["axes"]["z"]["input"] == pytest.approx(straight["input"], rel=1e-3)
 
 
+def test_an_offset_of_the_sticks_that_the_card_does_not_say_and_its_remedy(tmp_path: Path) -> None:
+    log = flown()
+    log.command[:, 2] = 1500.0 + 400.0 * log.command[:, 2]
+    card = CARD.replace('z = "cmd_z"', 'z = {{ from = "cmd_z", scale = 0.0025, offset = {} }}')
+
+    told = said("fit", *log.write(tmp_path, card.format(0.0)))["zero_is_not_hover", "z"]
+    assert told["severity"] == "warning"
+    assert float(told["evidence"].split("at rest with ")[1].split()[0]) == pytest.approx(1500, abs=5)
+    offset = float(told["remedy"].split("offset = ")[1].split()[0])
+    assert offset == pytest.approx(-3.75, abs=0.02)
+    assert ("zero_is_not_hover", "z") not in said("fit", *log.write(tmp_path, card.format(offset)))
+
+
 def test_a_response_later_than_any_delay_that_is_searched(tmp_path: Path) -> None:
     log = flown()
     log.command_time = log.command_time - 0.7

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from flights import fit_as_flown, steps
+from rotorfit.control.robustness import believed_possible, known_dynamics
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Clocks, Flight
 from rotorfit.core.frames import world_from_heading
@@ -20,6 +21,7 @@ from rotorfit.files.logs.several import join_logs
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.clocks.two_clocks import ANSWER_HALF
 from rotorfit.flights.several_files import bound
+from rotorfit.planning.belief import DELAY, belief_from_model
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import SimulatedFlight, Truth, simulate_flight
 from twin_logs import Sensor, Skew, as_one, card_of, in_two_files
@@ -292,6 +294,21 @@ def test_without_a_second_source_the_delay_is_not_identifiable(excitation: objec
     assert low is not None
     assert high is not None
     assert 0.95 * low < Truth().gamma[6] < 1.05 * high
+
+
+def test_what_only_the_answer_tells_of_a_delay_reaches_neither_gains_nor_plans() -> None:
+    log = as_one(simulate_flight(Truth(), steps(seed=4), LENGTH, 3), Skew(250.0))
+    model = fit_as_flown([flight_from_log(log, bound(card_of(velocity=False), log))], axes=("yaw",)).model
+
+    assert model.covariance_names == ("yaw.input", "yaw.damping")
+    assert known_dynamics(model, "yaw").delay == 0.0
+    drawn = np.array([one.delay for one in believed_possible(model, "yaw", 2000, 0)])
+    assert (drawn.mean(), drawn.std()) == pytest.approx(DELAY, rel=0.2)
+    belief = belief_from_model(model, "m.json")
+    assert belief.truth.delay[3] == DELAY[0]
+    assert np.sqrt(belief.covariance[11, 11]) == pytest.approx(DELAY[1])
+    assert np.sqrt(belief.covariance[9, 9]) < 0.1 * belief.truth.gamma[6]  # the input is known
+    assert any("does not know the delay of yaw" in note for note in belief.notes)
 
 
 def test_flights_with_and_without_the_delay_in_their_clocks_are_not_fitted_together() -> None:

@@ -443,10 +443,10 @@ def test_an_error_of_a_driver_keeps_its_trace_and_the_vehicle_lands(tmp_path: Pa
     link = Watched(room_link())
     send = link.send
 
-    def broken(command: Sequence[float]) -> None:
+    def broken(command: Sequence[float]) -> Sequence[float]:
         if link.since > 4:
             raise ZeroDivisionError("a bug")
-        send(command)
+        return send(command)
 
     link.send = broken  # type: ignore[method-assign]
     with pytest.raises(ZeroDivisionError, match="a bug"):

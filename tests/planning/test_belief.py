@@ -84,6 +84,32 @@ def test_draws_have_the_mean_and_the_deviation_of_the_belief_and_keep_their_sign
     np.testing.assert_allclose(trims.std(axis=0), belief.trim_sigma, rtol=0.05)
 
 
+def test_draws_of_a_negative_gain_mirror_those_of_a_positive_one() -> None:
+    right = belief_from_model(model_of(), "m.json")
+    g = [value * (-1 if place == 0 else 1) for place, value in enumerate(right.truth.gamma)]
+    turned = right.covariance.copy()
+    turned[0, 1:] *= -1
+    turned[1:, 0] *= -1
+    left = replace(right, truth=replace(right.truth, gamma=tuple(g)), covariance=turned)
+
+    one, other = (
+        np.array([coefficients_of(truth) for truth in sample_vehicles(belief, 4000, 3)]) for belief in (right, left)
+    )
+    assert abs(right.covariance[0, 1]) > 0
+    assert np.std(other[:, 0] / other[:, 1]) == pytest.approx(np.std(one[:, 0] / one[:, 1]), rel=0.1)
+    assert np.sign(np.cov(other[:, 0], other[:, 1])[0, 1]) == -np.sign(np.cov(one[:, 0], one[:, 1])[0, 1])
+
+
+def test_a_delay_near_zero_keeps_its_uncertainty() -> None:
+    belief = belief_from_model(model_of(), "m.json")
+    none = replace(belief, truth=replace(belief.truth, delay=(0.0, 1e-4, *belief.truth.delay[2:])))
+
+    drawn = np.array([truth.delay[:2] for truth in sample_vehicles(none, 4000, 3)])
+    sd = np.sqrt(np.diag(belief.covariance))[[2, 5]]
+    assert np.all(drawn >= 0)
+    np.testing.assert_allclose(np.quantile(drawn, 0.975, axis=0), 1.96 * sd, rtol=0.1)
+
+
 def test_a_model_is_believed_as_far_as_it_goes_and_the_card_beyond() -> None:
     belief = belief_from_model(model_of({axis: VEHICLE[axis] for axis in ("x", "y")}, CARD), "m.json")
     assert belief.truth.gamma[:4] == GAMMA_B[:4]

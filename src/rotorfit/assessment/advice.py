@@ -85,6 +85,9 @@ def _one_clock(flight: Flight) -> bool:
 WEAK_GAIN = 0.2
 """Relative standard error of the input gain above which the excitation is called weak."""
 
+IMPOSSIBLE_TRIM = 5.0
+"""Trim that no wind and no misalignment gives: half of gravity [m/s^2; rad/s^2 for yaw]."""
+
 NEEDED_SHARE = 0.05
 """Share of the command's power that must lie where delay and damping take effect; with less, noise makes them hard to
 separate. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20 % above 0.8 Hz."""
@@ -133,6 +136,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             known = _coefficient_findings(name, axis, flights)
             found += (one for one in known if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
+            found += _trim_findings(name, axis, flights)
             found += _excitation_findings(name, axis, flights)
             laws = law_findings(name, axis)  # no other law explains a vehicle that changed
             found += (replace(one, remedy=changed[0].remedy) if changed else one for one in laws)
@@ -328,6 +332,26 @@ def _delay_findings(name: str, axis: Axis, delay: float, flights: Sequence[Fligh
             "fly commands with steps or higher frequencies: slow sines hardly show a delay",
             name,
         )
+
+
+def _trim_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Finding that zero command is not hover: the sticks have an offset that the card does not say."""
+    trims = [trim for trim in axis.trim if trim is not None]
+    if not trims or not flights or axis.predictor is None or min(map(abs, trims)) < IMPOSSIBLE_TRIM:
+        return
+    trim, channel = sum(trims) / len(trims), flights[0].card.command[name]
+    rest = -trim / axis.predictor.input
+    unit = "rad/s^2" if name == "yaw" else "m/s^2"
+    yield Finding(
+        "zero_is_not_hover",
+        "warning",
+        f"with a command of 0, {name} accelerates by {trim:+.3g} {unit}, as no wind and no misalignment does; it is at "
+        f"rest with {channel.raw(rest):.4g} in the log",
+        f"input gain, damping and delay of {name} are right; plans and controllers take 0 for hover, which it is not",
+        f"give {name} in [command] of the card offset = {channel.offset - rest / channel.factor:.4g} (now "
+        f"{channel.offset:g})",
+        name,
+    )
 
 
 def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:

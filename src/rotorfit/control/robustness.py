@@ -72,13 +72,15 @@ class Doubt:
 def known_dynamics(model: Model, axis: str) -> AxisBelief:
     """The axis as a first-order law with a delay: its own law, or the one beside another law.
 
-    No vehicle moves before its command: a delay below 0, as where stamps are off, counts as none.
+    No vehicle moves before its command: a delay below 0, as where stamps are off, counts as none. So does one that the
+    model does not know.
 
     Raises:
         ModelError: The axis was not excited.
     """
-    point = first_order(model, axis).predictor
-    return AxisBelief(point.input, point.damping, max(point.delay, 0.0))
+    law = first_order(model, axis)
+    point, known = law.predictor, "delay" in law.stderr or not law.stderr
+    return AxisBelief(point.input, point.damping, max(point.delay, 0.0) if known else 0.0)
 
 
 def known_vehicle(model: Model, axis: str) -> LoopVehicle:
@@ -88,6 +90,8 @@ def known_vehicle(model: Model, axis: str) -> LoopVehicle:
         ModelError: The axis was not excited.
     """
     point = predictor_of(model, axis)
+    if model.axes[axis].delay is None and f"{axis}.delay" not in model.covariance_names:
+        point = replace(point, delay=0.0)
     return loop_vehicle(structure_named(model.axes[axis].structure), point) or known_dynamics(model, axis)
 
 

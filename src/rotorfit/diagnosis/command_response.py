@@ -47,6 +47,10 @@ follow the motion, and their sign is that of the loop."""
 CLEARLY = 1.5
 """Least ratio of the significance of one axis to that of any other for a command to belong to it."""
 
+OBLIQUE = 0.6
+"""Largest effect along the other horizontal axis, as a share of that along the first, for a command to belong to that
+one: beyond 31 degrees commands and poses have axes that are turned against each other."""
+
 SHARED = 0.9
 """Share of a command that is in the others above which the motion may bear out what its name says, and not contradict
 it: the others stand in for it. Where one pair of sines is flown on all axes at once it is 0.93 to 1; on recorded
@@ -102,12 +106,14 @@ class _Fit:
 
     Attributes:
         effect: Effects in standard errors, with sign, shape (K,).
+        size: Effects, in velocity per command, shape (K,).
         lag: Best delay plus time constant [s].
         left: Residual sum of squares.
         explained: Share of the variance about a straight line.
     """
 
     effect: Array
+    size: Array
     lag: float
     left: float
     explained: float
@@ -187,8 +193,8 @@ def _fit(lagged: list[tuple[float, Array]], time: Array, velocity: Array) -> _Fi
     parts = np.array([_solved(design[block != b], velocity[block != b])[:-2] for b in range(BLOCKS)])
     spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
     alone = float(np.sum((velocity - rest @ _solved(rest, velocity)) ** 2))
-    effect = np.asarray(parts.mean(axis=0) / np.maximum(spread, 1e-12))
-    return _Fit(effect, lag, left[index], 1 - left[index] / alone if alone > 0 else 0.0)
+    size = np.asarray(parts.mean(axis=0))
+    return _Fit(size / np.maximum(spread, 1e-12), size, lag, left[index], 1 - left[index] / alone if alone > 0 else 0.0)
 
 
 def _solved(design: Array, target: Array) -> Array:
@@ -201,8 +207,18 @@ def _answer(fits: list[_Fit], j: int, name: str, shared: float) -> CommandRespon
     first, second = fits[order[0]], fits[order[1]]
     told = float(first.effect[j])
     sure = abs(told) > max(SIGNIFICANT, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
+    sure = sure and not _is_oblique(fits, order[0], j)
     borne_out = AXES[order[0]] == name and told > 0
     axis = AXES[order[0]] if sure and (borne_out or not shared > SHARED) else None
     shown = first if axis else fits[AXES.index(name)]
     told = float(shown.effect[j])
     return CommandResponse(axis, int(np.sign(told)), abs(told), shown.explained, shown.lag, shared)
+
+
+def _is_oblique(fits: list[_Fit], first: int, j: int) -> bool:
+    """Whether a command moves the vehicle along both horizontal axes."""
+    if first > 1:
+        return False
+    along, across = fits[first], fits[1 - first]
+    share = abs(float(across.size[j])) / max(abs(float(along.size[j])), 1e-12)
+    return share > OBLIQUE and abs(float(across.effect[j])) > SIGNIFICANT

@@ -312,7 +312,7 @@ def _exchanged(told: str, negative: bool) -> Finding:
 
 
 def _offset(card: Card, own: Directions, told: str, angle: float, yaw: float, turning: float) -> Finding:
-    ways = [_yaw_remedy(card, angle)]
+    ways = [_yaw_remedy(card, angle) if card.command_frame == "heading" else _world_remedy(angle, yaw)]
     if turning < TURNING and abs(_wrapped(angle + yaw)) < NEAR and card.command_frame == "heading":
         ways.append(
             f'or write frame = "world" in [command]: yaw was held at {np.degrees(yaw):.0f} degrees all the time'
@@ -328,6 +328,19 @@ def _offset(card: Card, own: Directions, told: str, angle: float, yaw: float, tu
         f"input gains of x and y come out {np.cos(angle):.2f} times what they are, and each axis takes the other's "
         "motion for wind",
         "; ".join(ways),
+    )
+
+
+def _world_remedy(angle: float, yaw: float) -> str:
+    """Remedy for commands in the world frame whose directions are off by an angle; yaw does not enter them."""
+    if abs(_wrapped(angle - yaw)) < NEAR:
+        return (
+            f'write frame = "heading" in [command] of the card (now "world"): yaw was near {np.degrees(yaw):.0f} '
+            "degrees, and the commands act along the vehicle's own axes there"
+        )
+    return (
+        f"turn the axes of the poses by {np.degrees(angle):+.0f} degrees about z, or those of the commands by as much "
+        "the other way: the world of the commands is not that of the poses"
     )
 
 

@@ -53,6 +53,7 @@ def pose_findings(recording: Recording) -> Iterator[Finding]:
     yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1], thawed)
     yield from _frozen(flight, frozen)
     yield from _unit_of_position(flight, motion)
+    yield from _unit_of_one_axis(recording)
     yield from _unit_of_yaw(motion)
 
 
@@ -237,6 +238,23 @@ def _line_with_unit(flight: Flight, unit: tuple[str, float] | None) -> str:
     """The line of x in a card, with a unit for it."""
     source = flight.card.pose["x"].source if "x" in flight.card.pose else "..."
     return f'x = {{ from = "{source}", unit = "{unit[0] if unit else "cm"}" }}'
+
+
+def _unit_of_one_axis(recording: Recording) -> Iterator[Finding]:
+    """An axis that clearly follows its command, but within a few millimetres, beside axes that move."""
+    travel = np.ptp(recording.flight.position, axis=0)
+    for axis, answer in recording.answers.of.items():
+        within = float(travel[2] if axis == "z" else np.max(travel[:2]))
+        if axis != "yaw" and answer.axis == axis and 0 < within < SMALLEST < np.max(travel):
+            yield Finding(
+                "unit_mistake",
+                "warning",
+                f"{axis} follows its command ({answer.certainty:.0f} standard errors), but stays within "
+                f"{1e3 * within:.2g} mm, while others move by {np.max(travel):.2g} m",
+                f"the input gain of {axis} is too small by the ratio of the units; damping and delay keep their values",
+                f"check the unit of {axis} of [pose] in the card: metres read as cm or mm?",
+                axis,
+            )
 
 
 def _unit_of_position(flight: Flight, motion: Motion) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ import numpy as np
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import NORMAL, Axis, Combination, Interval, Model
+from rotorfit.core.model import NORMAL, Axis, Combination, Interval, Model, Weighed, weighed
 from rotorfit.estimation.identifiability import WIDEST_DELAY
 
 _WITH_DELAY = ("total_lag", "delay_plus_lag")
@@ -64,7 +64,7 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
     Where an offset between two clocks was measured, or stamps were corrected by their arrival times, that error is
     added in quadrature to the errors of the delay, of delay plus lag and of the total lag. Where commands bear the
     stamps of rows of poses, upper ends are raised by the period of the rows. Where only the response to the commands
-    revealed the offset, no delay is published.
+    revealed the offset, no delay is published, and its rows leave the covariance.
 
     Args:
         model: As fitted to the stamps on one clock.
@@ -76,7 +76,13 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
     if not held:
         return wider
     offset = held[0].offset if len(flights) == 1 else None
-    return replace(wider, axes={name: _without_delay(axis, offset) for name, axis in wider.axes.items()})
+    kept = [i for i, name in enumerate(wider.covariance_names) if not name.endswith(".delay")]
+    return replace(
+        wider,
+        axes={name: _without_delay(axis, offset) for name, axis in wider.axes.items()},
+        covariance_names=tuple(wider.covariance_names[i] for i in kept),
+        covariance=wider.covariance[np.ix_(kept, kept)],
+    )
 
 
 def with_delay_error(
@@ -120,7 +126,16 @@ def _without_delay(axis: Axis, offset: float | None) -> Axis:
         ci95_flight={**axis.ci95_flight, "delay": (None, None)} if axis.ci95_flight else {},
         status={**axis.status, "delay": "not_identifiable"},
         combinations=kept,
+        laws=tuple(_law_without_delay(law) for law in axis.laws),
     )
+
+
+def _law_without_delay(law: Weighed) -> Weighed:
+    """The law with the uncertainty of its other parameters alone."""
+    names = [name for name in law.stderr if name != "delay"]
+    at = [list(law.stderr).index(name) for name in names]
+    covariance = law.covariance[np.ix_(at, at)]
+    return weighed(law.structure, law.predictor, names, covariance, law.weight, law.log_likelihood)
 
 
 def _widened(axis: Axis, half: float, longer: float) -> Axis:

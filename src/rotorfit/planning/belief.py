@@ -184,8 +184,14 @@ def belief_from_model(model: Model, where: str) -> Belief:
     time, levels, notes = np.array(rest.truth.wind_time), {}, list(rest.notes)
     for axis in known:
         a, one = AXES.index(axis), model.axes[axis]
-        point = first_order(model, axis).predictor
-        values[a] = point.input, point.damping, point.delay
+        law = first_order(model, axis)
+        point = law.predictor
+        values[a, :2] = point.input, point.damping
+        if "delay" in law.stderr or not law.stderr:
+            values[a, 2] = point.delay
+        else:
+            notes.append(f"the model does not know the delay of {axis}: {DELAY[0]:g} +- {DELAY[1]:g} s are expected")
+            values[a, 2] = DELAY[0]
         if values[a, 2] < 0:
             notes.append(f"the model's delay of {axis} is negative: planned with 0")
             values[a, 2] = 0.0
@@ -249,12 +255,14 @@ def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
     out = covariance.copy()
     for a, axis in enumerate(AXES):
         law = first_order(model, axis) if model.axes[axis].predictor else None
-        if law is None or set(law.stderr) != set(COEFFICIENTS):
+        if law is None or not {"input", "damping"} <= set(law.stderr):
             continue
         at = slice(3 * a, 3 * a + 3)
+        known = np.diag([0.0, 0.0, 1e6 * DELAY[1] ** 2])
+        known[: len(law.stderr), : len(law.stderr)] = law.covariance
         bound = np.array([*UNKNOWN_SHARE, np.nan]) * values[at]
         bound[2] = DELAY[1]
-        out[at, at] = np.linalg.inv(np.linalg.inv(law.covariance) + np.diag(1 / bound**2))
+        out[at, at] = np.linalg.inv(np.linalg.inv(known) + np.diag(1 / bound**2))
     return out
 
 
@@ -286,18 +294,22 @@ def levels_of(belief: Belief, truth: Truth, axis: str) -> Array:
 def sample_vehicles(belief: Belief, count: int, seed: int) -> list[Truth]:
     """Draws possible vehicles from the belief.
 
-    Coefficients are log-normal with the mean and the standard deviations of the belief, and its correlations for their
-    logarithms, so that none changes its sign; the trim is normal.
+    Coefficients are log-normal with the mean and the standard deviations of the belief, and its correlations for the
+    logarithms of their sizes, so that none changes its sign. A delay that may be near 0 is normal instead, and 0 where
+    that is negative; the trim is normal.
     """
     rng = np.random.default_rng(seed)
     mean, sd = belief.coefficients, np.sqrt(np.diag(belief.covariance))
+    signed = np.where(mean < 0, -sd, sd)
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = np.nan_to_num(belief.covariance / np.outer(sd, sd))
+        correlation = np.nan_to_num(belief.covariance / np.outer(signed, signed))
         spread = np.where(mean != 0, np.sqrt(np.log1p((sd / mean) ** 2)), 0.0)
     np.fill_diagonal(correlation, 1 + 1e-9)  # no effect where sd is 0; singular matrices become just definite
     # Cholesky's factor is continuous in the covariance, so a plan read from its file has the same vehicles
     normal = rng.standard_normal((count, 12)) @ np.linalg.cholesky(correlation).T
     values = mean * np.exp(spread * normal - spread**2 / 2)
+    near = (np.arange(mean.size) % 3 == COEFFICIENTS.index("delay")) & (sd > np.abs(mean))
+    values[:, near] = np.maximum(mean + sd * normal, 0.0)[:, near]
     trims = np.array(belief.truth.trim) + np.array(belief.trim_sigma) * rng.standard_normal((count, 4))
     return [
         replace(with_coefficients(belief.truth, row), trim=_four(trim)) for row, trim in zip(values, trims, strict=True)
