@@ -126,6 +126,16 @@ def test_several_poses_that_cannot_be_true_end_the_flight(bad: Sample) -> None:
     assert told[4] == "pose_jumps"
 
 
+@pytest.mark.parametrize("by", [{"yaw": 1.7}, {"yaw": 3.1}, {"x": 1.5}])
+def test_a_jump_that_lasts_ends_the_flight_at_ten_poses_a_second_too(by: dict[str, float]) -> None:
+    watch = watched(*[pose(0.1 * k, 1e-3 * k) for k in range(30)])
+    told = []
+    for k in range(30, 36):
+        watch, _ = observed(watch, pose(0.1 * k, by.get("x", 0.0) + 1e-3 * k, yaw=by.get("yaw", 0.0)), BOX)
+        told.append(verdict(watch, 0.1 * k))
+    assert told[4] == "pose_jumps"
+
+
 def test_swaps_that_come_back_again_and_again_end_the_flight_too() -> None:
     watch, ended = Watch(), None
     for k in range(60):

@@ -5,13 +5,24 @@ import numpy as np
 from rotorfit.tracking.ground import Ground
 
 
-def watched(down: float) -> list[tuple[float, bool, bool]]:
-    """Time, `touches` and `stands` at each pose of a flight that sinks from 2 m to the ground at 5 s."""
-    ground, told = Ground(), []
+def watched(down: float, start: float = 2.0, jump: float = 0.0) -> list[tuple[float, bool, bool]]:
+    """Time, `touches` and `stands` at each pose of a flight that sinks from 2 m to the ground at 5 s.
+
+    Args:
+        down: Command to sink.
+        start: Height at which it stood before [m].
+        jump: By which the pose jumps upwards at 1 s [m].
+    """
+    ground, told, jumped = Ground(), [], False
+    ground.level = start
     for time in np.arange(0.0, 8.0, 0.02):
         ground.command(time, (0.0, 0.0, -down if time > 2.0 else 0.2, 0.0))
         height = max(2.0 - max(time - 2.0, 0.0) / 1.5, 0.0)
-        ground.pose(time, np.array([0.3 * np.sin(3 * time) if height else 0.0, 0.0, height, 0.0]))
+        up = jump if time >= 1.0 else 0.0
+        if up and not jumped:
+            ground.jumped(height + up)
+            jumped = True
+        ground.pose(time, np.array([0.3 * np.sin(3 * time) if height else 0.0, 0.0, height + up, 0.0]))
         told.append((float(time), ground.touches, ground.stands))
     return told
 
@@ -22,6 +33,34 @@ def test_who_sinks_as_commanded_to_the_lowest_height_may_have_touched_down_until
     assert not any(touches for time, touches, _ in told if time < 2.0)
     assert all(touches for time, touches, _ in told if time > 5.0)
     assert next(time for time, _, stands in told if stands) > 5.5
+
+
+def test_the_ground_is_found_where_it_is_higher_than_where_the_vehicle_stood() -> None:
+    told = watched(0.4, start=-0.3)
+
+    assert not any(touches for time, touches, _ in told if time < 5.0)
+    assert all(touches for time, touches, _ in told if time > 5.3)
+    assert next(time for time, _, stands in told if stands) < 6.5
+
+
+def test_the_ground_jumps_with_the_pose() -> None:
+    told = watched(0.4, start=0.0, jump=2.0)
+
+    assert not any(touches for time, touches, _ in told if time < 4.8)
+    assert all(touches for time, touches, _ in told if time > 5.2)
+
+
+def test_who_sinks_from_the_moment_of_the_last_command_on_may_land_by_itself() -> None:
+    ground, told = Ground(), []
+    ground.level = 0.0
+    for time in np.arange(0.0, 6.0, 0.02):
+        if time < 3.0:
+            ground.command(time, (0.3, 0.0, 0.0, 0.0))
+        ground.pose(time, np.array([0.3 * np.sin(3 * time), 0.0, 2.0 - 0.4 * max(time - 3.0, 0.0), 0.0]))
+        told.append((time, ground.touches))
+
+    assert not any(touches for time, touches in told if time < 3.2)
+    assert all(touches for time, touches in told if time > 3.6)
 
 
 def test_who_sinks_although_it_is_to_climb_has_not_touched_down() -> None:

@@ -99,6 +99,33 @@ def test_a_single_wild_pose_is_left_out() -> None:
     assert len(flight.segments) == 1
 
 
+def test_what_a_stalled_link_delivers_at_once_is_late_and_no_other_clock() -> None:
+    samples, begin, end = flown(), 30 * SECOND, int(32.5 * SECOND)
+    first = samples[0].received
+    held = [
+        replace(one, received=first + end) if begin < one.received - first < end and one.stream == "pose" else one
+        for one in samples
+    ]
+    flight, alarms = grown(sorted(held, key=lambda one: one.received))
+
+    usual, _ = grown(samples)
+    assert not alarms
+    later = flight.pose_time > 33.0
+    np.testing.assert_array_equal(flight.pose_time[later], usual.pose_time[usual.pose_time > 33.0])
+    assert 0 < counts(flight)["strange_stamps"] < 200
+
+
+def test_a_state_file_keeps_positions_to_the_last_digit() -> None:
+    growing, again = GrowingFlight(CARD), GrowingFlight(CARD)
+    away = np.array([4.5e5, 5.3e6, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for one in flown()[:4000]:
+        growing.add(replace(one, values=tuple(np.add(one.values, away).tolist())) if one.stream == "pose" else one)
+    again.recall(growing.memory())
+
+    rows, recalled = growing.rows[1], again.rows[1]
+    np.testing.assert_array_equal(recalled.values, rows.values[-len(recalled.values) :])
+
+
 def test_commands_of_another_clock_are_timed_by_their_arrival() -> None:
     there = [replace(one, stamp=one.stamp + 10**15) if one.stream == "command" else one for one in flown()]
     flight, alarms = grown(there)

@@ -1,10 +1,12 @@
 """Samples in, states out: the same as from the recorded flight, whatever the order they come in."""
 
+from dataclasses import replace
+
 import pytest
 from tracking_samples import samples_of
 
 from flights import CARD
-from rotorfit.core.errors import LogError
+from rotorfit.core.errors import CardError, LogError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
@@ -69,6 +71,11 @@ def test_doubled_late_and_broken_samples_change_nothing(live: Tracked) -> None:
 def test_what_no_link_sends_is_refused(stream: str, values: tuple[float, ...], told: str) -> None:
     with pytest.raises(LogError, match=told):
         Tracker(CARD).update(Sample(stream, 1, 1, values))  # type: ignore[arg-type]
+
+
+def test_a_card_whose_commands_are_along_the_world_is_refused() -> None:
+    with pytest.raises(CardError, match="turn them by the heading"):
+        Tracker(replace(CARD, command_frame="world"))
 
 
 def test_nothing_is_told_before_5_s() -> None:

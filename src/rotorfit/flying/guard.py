@@ -60,6 +60,10 @@ JUMP, TURN = 0.2, 0.6
 TURN_RATE = 6.0
 """Bound on the yaw rate of the vehicles [rad/s]."""
 
+UNSEEN = 0.03
+"""Time for which a vehicle may have been unseen beyond that since the last pose that arrived, doubted ones included:
+jitter of their arrival [s]."""
+
 SUSPECT = 5.0
 """Number of impossible poses in a row that ends a flight; each plausible one between them subtracts 0.1."""
 
@@ -190,8 +194,9 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
         return _seen(watch, sample, here, watch.velocity, watch.suspicion), True
     since = (sample.stamp - watch.stamp) / 1e9
     ahead = [new - old - v * since for new, old, v in zip(here, watch.pose, watch.velocity, strict=True)]
-    reach = JUMP + 2 * (limits.speed + limits.climb) * since
-    if math.hypot(*ahead[:3]) > reach or abs(ahead[3]) > TURN + TURN_RATE * since:
+    unseen = min(since, (sample.received - watch.heard) / 1e9 + UNSEEN)  # doubted poses show the vehicle elsewhere
+    reach = JUMP + 2 * (limits.speed + limits.climb) * unseen
+    if math.hypot(*ahead[:3]) > reach or abs(ahead[3]) > TURN + TURN_RATE * unseen:
         return _doubted(watch, sample), False
     share = 1 / (FILTER + since)
     vx, vy, vz, turning = (v + share * off for v, off in zip(watch.velocity, ahead, strict=True))

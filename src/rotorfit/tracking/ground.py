@@ -5,7 +5,9 @@ commands have been zero for a while, as in a take-off or a landing. If the link 
 that counts too. A vehicle that hovers motionless at that height is taken to stand; it teaches nothing either.
 
 Between touching down and being seen to stand lies a second in which the ground looks like another vehicle: who has
-sunk, as commanded, to the lowest height so far may have touched down.
+sunk, as commanded, to the lowest height so far, or no longer sinks as commanded, may have touched down. So the ground
+is also found where it is higher than before, or where the height has drifted. Likewise who climbs or sinks since all
+commands became zero may take off or land by itself.
 """
 
 from collections import deque
@@ -33,8 +35,13 @@ SILENT = 1.0
 BY_ITSELF, CALM = 0.25, 0.1
 """Vertical speed from which a vehicle takes off or lands by itself, and up to which it no longer does [m/s]."""
 
-SANK = 0.1
-"""How far a vehicle that may have touched down has sunk over the window [m]."""
+SANK, HELD_UP, SLOWED, STILL_ASKED = 0.1, 0.15, 0.3, 0.15
+"""How far a vehicle that may have touched down has sunk over the window [m]; time over which it sinks at less than a
+share of its speed before [s], and that share; the age of the last command to sink [s]."""
+
+LET_GO = 0.25
+"""Time without a non-zero command after which a vehicle that climbs or sinks may do so by itself [s]; twice `SILENT`
+after it, it either does or has come to rest."""
 
 ASKED = 1e-3
 """Largest command that counts as zero [unit of the command]."""
@@ -52,7 +59,8 @@ class Ground:
         self._looked = -np.inf
         self._asked = -np.inf  # when a command last asked for anything
         self._down = -np.inf  # when a command last asked to sink
-        self._sank = -np.inf  # when the vehicle last sank, as commanded, at the lowest height
+        self._sank = -np.inf  # when the vehicle may last have touched down, having sunk as commanded
+        self._alone = False  # whether it climbs or sinks without being asked
 
     @property
     def stands(self) -> bool:
@@ -61,8 +69,8 @@ class Ground:
 
     @property
     def touches(self) -> bool:
-        """Whether the vehicle stands, or may have touched down a moment ago."""
-        return self.stands or self._looked - self._sank < WINDOW
+        """Whether the vehicle stands, may have touched down a moment ago, or may take off or land by itself."""
+        return self.stands or self._alone or self._looked - self._sank < WINDOW
 
     def low(self, height: float) -> bool:
         """Whether a height [m] may be that of the ground."""
@@ -119,14 +127,18 @@ class Ground:
         if time - begun < WINDOW - EVERY:
             return
         ranges = np.ptp(past, axis=0)
-        if past[0, 2] - past[-1, 2] > SANK and self.low(float(pose[2])) and time - self._down <= WINDOW:
+        sinks = time - self._down <= STILL_ASKED
+        held_up = sinks and self._slowed(past[:, 2])
+        sank = bool(np.max(past[:, 2]) - past[-1, 2] > SANK)
+        if sank and time - self._down <= WINDOW and (held_up or self.low(float(pose[2]))):
             self._sank = time
         climb = float(past[-1, 2] - past[len(past) // 2, 2]) / max(time - self._recent[len(past) // 2][0], EVERY)
         silent = not self.asked_within(time, SILENT)
         rests = bool(np.all(ranges <= RESTS))
+        self._alone = LET_GO < time - self._asked < 2 * SILENT and abs(climb) > CALM
         if self._since is None:
-            if rests and self.low(float(pose[2])):
-                self._since = begun
+            if rests and (self.low(float(pose[2])) or (sinks and self._looked - self._sank < 3 * WINDOW)):
+                self._since, self.level = begun, float(pose[2])
             elif silent and abs(climb) > BY_ITSELF:
                 self._since = max(self._asked + SILENT, begun)
             return
@@ -136,6 +148,21 @@ class Ground:
             end = max(time - BEGUN, self._since) if sideways else time
             self._closed.append((self._since, max(end, self._allowed)))
             self._since = None
+
+    def _slowed(self, height: Array) -> bool:
+        """Whether a vehicle that sank over the window has stopped within the last `HELD_UP`."""
+        times = np.array([at for at, _ in self._recent])
+        turn = int(np.searchsorted(times, times[-1] - HELD_UP - EVERY / 2))
+        if not 0 < turn < times.size - 1:
+            return False
+        before, now = np.diff(height[[0, turn, -1]]) / np.maximum(np.diff(times[[0, turn, -1]]), 1e-6)
+        return bool(now > SLOWED * before)
+
+    def jumped(self, to: float) -> None:
+        """Takes note that the pose jumped, to a height [m]: that of the ground has changed by as much."""
+        if self._recent:
+            self.level += to - float(self._recent[-1][1][2])
+        self._recent.clear()
 
     def forget(self, before: float) -> None:
         """Drops the intervals that ended before a time [s]."""

@@ -5,7 +5,8 @@ differs from it. Other samples are left out and counted. Segments are the times 
 and the vehicle obeys. The last `KEPT` seconds are remembered.
 
 Samples are timed by the sender's stamps. A sample whose stamp is implausible given its arrival is left out; after
-`STRANGE` of them in a row the sender's clock is another one, and from then on its samples are timed by their arrival.
+`STRANGE` of them in a row, over a second or more, the sender's clock is another one, and from then on its samples are
+timed by their arrival.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,8 +32,9 @@ REMEMBERED = 300.0
 ONE_CLOCK = (-0.05, 2.0)
 """Plausible times from stamp to arrival if sender and receiver share a clock [s]. A radio may hold a sample back."""
 
-STRANGE = 10
-"""Number of implausible stamps in a row after which the arrivals count."""
+STRANGE, LASTING = 10, 1.0
+"""Number of implausible stamps in a row after which the arrivals count, and how long they must have arrived [s]: what a
+stalled link delivers at once is late, and its clock is right."""
 
 LARGEST = 1e9
 """Bound on the values of a sound sample [m or unit of the command]."""
@@ -45,7 +47,7 @@ class _Clock:
     """Assigns times to the samples of one sender."""
 
     def __init__(self) -> None:
-        self.by_arrival, self.strange = False, 0
+        self.by_arrival, self.strange, self._since = False, 0, 0
 
     def stamp(self, sample: Sample) -> int | None:
         """When a sample was measured or sent [ns]; None if its stamp is implausible."""
@@ -56,8 +58,9 @@ class _Clock:
         if ONE_CLOCK[0] <= (sample.received - sample.stamp) / 1e9 <= ONE_CLOCK[1]:
             self.strange = 0
             return sample.stamp
+        self._since = self._since if self.strange else sample.received
         self.strange += 1
-        self.by_arrival = self.strange >= STRANGE
+        self.by_arrival = self.strange >= STRANGE and sample.received - self._since >= 1e9 * LASTING
         return sample.received if self.by_arrival else None
 
 
@@ -158,6 +161,8 @@ class GrowingFlight:
         seen = self._watch.take(time, pose, self._rests(time, pose))
         if seen.alarm:
             self._alarms.append(seen.alarm)
+            if seen.alarm.cause == "pose_jumped":
+                self._ground.jumped(float(seen.believed[0][1][2]))
         if seen.left_out:
             return self._left_out(seen.left_out)
         for at, one in seen.believed:
@@ -233,9 +238,9 @@ class GrowingFlight:
 
 
 def _packed(name: str, rows: Rows, begin: float) -> dict[str, Array]:
-    """The rows from `begin` [s] on, values in single precision: a micrometre at ten metres."""
+    """The rows from `begin` [s] on."""
     new = rows.since(begin)
-    return {f"{name}_time": new[:, 0].copy(), name: new[:, 1:].astype(np.float32)}
+    return {f"{name}_time": new[:, 0].copy(), name: new[:, 1:].copy()}
 
 
 def _is_sound(sample: Sample) -> bool:

@@ -81,12 +81,15 @@ def _watched(ground: Ground, watch: PoseWatch, part: Flight, since: float) -> li
     for time, one in zip(part.pose_time[poses:].tolist(), pose[poses:], strict=True):
         while sent and sent[0][0] <= time:
             ground.command(*sent.pop(0))
-        ground.pose(time, one)
-        if alarm := watch.take(time, one, ground.stands).alarm:
-            alarms.append(alarm)
+        seen = watch.take(time, one, ground.stands)
+        if seen.alarm and seen.alarm.cause == "pose_jumped":
+            alarms.append(seen.alarm)
+            ground.jumped(float(seen.believed[0][1][2]))
+        for believed in seen.believed:
+            ground.pose(*believed)
     for command in sent:
         ground.command(*command)
-    return [alarm for alarm in alarms if alarm.cause == "pose_jumped"]
+    return alarms
 
 
 def _split(flight: Flight, jumps: Sequence[float]) -> Flight:

@@ -76,7 +76,8 @@ class Tracker:
     Raises:
         TypeError: `card` is not a card, or `after` not a model.
         ValueError: `false_alarms_per_hour` is out of range.
-        CardError: There is no such card, or the commands of the earlier model have another meaning.
+        CardError: There is no such card, its commands are along the world axes, or those of the earlier model have
+            another meaning.
         ModelError: The model file cannot be used.
     """
 
@@ -95,6 +96,11 @@ class Tracker:
         if not isinstance(card, Card | str | PathLike):
             raise TypeError(f"expected a card, its name or its file, got {type(card).__name__}")
         card = card if isinstance(card, Card) else load_card(Path(card))
+        if card.command_frame == "world":
+            raise CardError(
+                f"card {card.name}: its commands are along the world axes, but a tracker takes forward, left, up: turn "
+                'them by the heading, and write frame = "heading"'
+            )
         if not 0 < false_alarms_per_hour <= MOST_FALSE_ALARMS:
             raise ValueError(f"false alarms an hour are above 0 and at most {MOST_FALSE_ALARMS:g}")
         self._card, self._growing = card, GrowingFlight(card, origin, path)
