@@ -472,3 +472,17 @@ def test_time_between_segments_is_no_data() -> None:
 
     axis = fit([replace(whole, segments=pieces)], axes=("z",)).model.axes["z"]
     assert statuses(axis) == {"too_short"}
+
+
+# Delays beyond the range that is searched
+
+
+@pytest.mark.parametrize("method", ["ml", "iv", "oe"])
+def test_with_the_delay_at_the_end_of_its_range_nothing_is_published(method: str) -> None:
+    flight = flown(Truth(), steps(("z",), seed=2), 40.0, 5)
+    late = replace(flight, command_time=flight.command_time - 0.7)
+
+    axis = fit([late], method, axes=("z",)).model.axes["z"]
+    assert statuses(axis) <= {"not_identifiable", "not_excited"}
+    assert axis.input is None
+    assert all(value is None for value in axis.extra.values())

@@ -132,6 +132,14 @@ def test_what_is_exported_has_no_command_before_the_first_as_simulate_has_none(
     np.testing.assert_allclose(told[:, :4], want.pose[::2000], atol=1e-6)
 
 
+def test_a_command_stamped_at_the_start_was_not_held_before(model: Model) -> None:
+    lagged = with_laws(model, {"x": ("first_order_lag", {"lag": 0.08})})
+    times, command = np.arange(0.0, 2.0, 0.02), np.array([[0.5, 0.0, 0.0, 0.0]])
+
+    at, after = (simulate(lagged, np.array([first]), command, times).pose[-1, 0] for first in (0.0, 1e-6))
+    assert at == pytest.approx(after, rel=1e-4)
+
+
 def test_the_reference_itself_agrees_with_an_integrator_that_knows_only_the_equations(
     motion: ModuleType, model: Model
 ) -> None:
@@ -403,6 +411,20 @@ def test_parameters_are_doubles_for_a_reader_of_ros() -> None:
     assert all(isinstance(own[axis][name], float) for axis in AXES for name in ("input", "damping", "delay"))
 
 
+@pytest.mark.parametrize("how", [{"physical": True}, {"round_delay": True}, {}])
+def test_intervals_are_given_of_what_is_exported_as_it_was_estimated(how: dict[str, bool], model: Model) -> None:
+    from ruamel.yaml import YAML
+
+    own: Any = YAML(typ="safe", pure=True).load(export(model, "ros2", name="bebop", **how).text)
+    own = own["/**"]["ros__parameters"]["bebop"]["x"]
+    for name in ("input", "damping", "delay"):
+        low, high = own.get(f"{name}_ci95", (-np.inf, np.inf))
+        assert low <= own[name] <= high
+    assert ("input_ci95" in own, "damping_ci95" in own, "delay_ci95" in own) == (
+        "physical" not in how, True, "round_delay" not in how
+    )  # fmt: skip
+
+
 def test_python_control_designs_a_regulator_that_holds_the_model(run: ModuleType, model: Model, tmp_path: Path) -> None:
     needed(run, "python-control")
     import control
@@ -573,6 +595,10 @@ def test_unknown_formats_and_sample_periods_are_refused(model: Model, tmp_path: 
         export(model, "c", dt=0.0)
     with pytest.raises(ExportError, match=r"call it my_drone\.m"):
         export(model, "matlab", tmp_path / "My-Drone.m")
+    with pytest.raises(ExportError, match=r"call it model_step\.m"):
+        export(model, "matlab", tmp_path / "step.m")
+    with pytest.raises(ExportError, match="imports a module of this name"):
+        export(model, "numpy", tmp_path / "numpy.py")
 
 
 def cli(*arguments: object) -> Any:

@@ -35,6 +35,10 @@ def _in_force(t: float, law: Array, command_time: Array, command: Array, k: Any,
         u[j] = command[k[j], j]
 
 
+JUST_BEFORE = 1e-9
+"""Time before a start at which the command counts that has been held until then [s]."""
+
+
 class Forecast:
     """Two axes of one segment, filtered up to the latest start.
 
@@ -202,7 +206,7 @@ def free_run(
         command_time: Shape (M,) [s].
         command: Shape (M, 2).
         law: Vectors of the general law of both axes, shape (2, LAW_SIZE); a lag starts in its steady state under the
-            command in force. The damping may be negative.
+            command in force just before. The damping may be negative.
         position: World, at the first time, shape (2,).
         velocity: World, at the first time, shape (2,).
         time: Increasing, shape (N,) [s].
@@ -231,7 +235,7 @@ def _free_run(
     for a in range(2):
         own = COLUMNS * a
         z[P + own], z[V + own], z[T + own] = position[a], velocity[a], law[a, TRIM]
-    _in_force(time[0], law, command_time, command, k, u)
+    _in_force(time[0] - JUST_BEFORE, law, command_time, command, k, u)
     demands(law, what, whose, u, z)
     settle(law, z, what.size, yaw[0])
     for i in range(time.size):

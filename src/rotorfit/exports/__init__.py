@@ -51,6 +51,10 @@ class Export:
     kept: Path | None = field(default=None, repr=False)
 
 
+IMPORTED = ("math", "numpy", "control", "casadi", "jax", "rotorpy")
+"""Modules that exported Python imports, which a file of the same name beside it would hide."""
+
+
 def export(
     model: "Model | str | Path",
     to: str,
@@ -103,6 +107,8 @@ def export(
         known, wanted, origin, digest, dt=dt, predictor=predictor, physical=physical, round_delay=round_delay
     )
     check(subject, to, form)
+    if path and form.suffix == ".py" and Path(path).stem in IMPORTED:
+        raise ExportError(f"{path}: {to} imports a module of this name; choose another, such as {subject.name}.py")
     if path and form.named and Path(path).stem != subject.name:
         raise ExportError(f"{path}: a {to} file must be named after its function; call it {subject.name}{form.suffix}")
     mark = f"Written by rotorfit export {__version__}, format {to}."

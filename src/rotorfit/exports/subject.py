@@ -25,8 +25,11 @@ _WORDS = """
     global if otherwise parfor persistent return spmd switch try until unwind_protect while
 """
 
-TAKEN = frozenset(_WORDS.split())
-"""Reserved words of MATLAB and Octave, in which the name stands alone; elsewhere it gets a prefix or suffix."""
+_FUNCTIONS = "ans derivative flow memory parameters segments simulate start step"
+
+TAKEN = frozenset(f"{_WORDS} {_FUNCTIONS}".split())
+"""Reserved words of MATLAB and Octave, and the functions of our file for them, beside which the name stands alone;
+elsewhere it gets a prefix or suffix."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from rotorfit.core.errors import ExportError
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import FIRST_ORDER_DELAY
 from rotorfit.core.limits import CommandMeaning
-from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.model import COEFFICIENTS, Model, Predictor
 from rotorfit.core.plain import listed
 from rotorfit.dynamics.trajectory import state_space
 from rotorfit.exports.equations import SPEEDS, Equation, constants, equations, number
@@ -117,7 +117,7 @@ def _context(subject: Subject, to: str, language: Language) -> dict[str, Any]:
             }
             for axis in subject.axes
         },
-        "intervals": {axis: intervals(subject, axis) for axis in subject.axes},
+        "intervals": {axis: _of_exported(subject, axis) for axis in subject.axes},
         "equations": laws,
         "used": [axis for axis in AXES if mentioned(f"u_{axis}", [law.demand for law in laws.values()])],
         "turned": [
@@ -144,6 +144,17 @@ def intervals(subject: Subject, axis: str) -> dict[str, tuple[float, float]]:
     known = subject.original.axes[axis].ci95
     ends = ((name, *known.get(name, (None, None))) for name in names)
     return {name: (low, high) for name, low, high in ends if low is not None and high is not None}
+
+
+def _of_exported(subject: Subject, axis: str) -> dict[str, tuple[float, float]]:
+    """The intervals of the coefficients that are exported as they were estimated, neither scaled nor rounded."""
+    point, estimate = subject.point(axis), subject.original.axes[axis].predictor
+
+    def value(predictor: Predictor, name: str) -> float:
+        return getattr(predictor, name) if name in COEFFICIENTS else predictor.extra[name]
+
+    known = intervals(subject, axis)
+    return {name: ends for name, ends in known.items() if estimate and value(point, name) == value(estimate, name)}
 
 
 def mentioned(variable: str, expressions: Sequence[str]) -> bool:

@@ -60,6 +60,9 @@ JUMP, TURN = 0.2, 0.6
 TURN_RATE = 6.0
 """Bound on the yaw rate of the vehicles [rad/s]."""
 
+STEPPED = 1.0
+"""Time by which the stamps run ahead of the arrivals of poses if their clock was set [s]."""
+
 UNSEEN = 0.03
 """Time for which a vehicle may have been unseen beyond that since the last pose that arrived, doubted ones included:
 jitter of their arrival [s]."""
@@ -193,6 +196,8 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
     if watch.pose is None:
         return _seen(watch, sample, here, watch.velocity, watch.suspicion), True
     since = (sample.stamp - watch.stamp) / 1e9
+    if since > (elapsed := (sample.received - watch.received) / 1e9) + STEPPED:
+        since = elapsed
     ahead = [new - old - v * since for new, old, v in zip(here, watch.pose, watch.velocity, strict=True)]
     unseen = min(since, (sample.received - watch.heard) / 1e9 + UNSEEN)  # doubted poses show the vehicle elsewhere
     reach = JUMP + 2 * (limits.speed + limits.climb) * unseen

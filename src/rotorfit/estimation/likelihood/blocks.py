@@ -146,6 +146,10 @@ def measured_by(records: Sequence[Record]) -> Measured:
     return "both" if len(kinds) > 1 else next(iter(kinds), "position")
 
 
+LEAST_BLOCKS = 4
+"""Number of blocks below which a flight has no record: nothing can be said of its noise."""
+
+
 def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Record | None:
     """The record of a flight for the likelihood of these axes; None where no segment is long enough.
 
@@ -180,7 +184,7 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         index.append(slice(first, last))
         n += last - first
         block_count += bins[-1] + 1
-    if not starts:
+    if block_count < LEAST_BLOCKS:
         return None
     alone = len(index) == 1  # a slice of the flight takes no memory
     keep, block = (index[0], times[0]) if alone else (np.r_[tuple(index)], np.concatenate(times))

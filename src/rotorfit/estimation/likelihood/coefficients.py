@@ -69,6 +69,12 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     status = statuses(ends) | _too_fast(records, optimum, k)
     if status["delay"] != "ok" and (_at_bound(optimum, k) or estimate.loop.closed):
         status = dict.fromkeys(COEFFICIENTS, "not_identifiable")
+        more = replace(
+            more,
+            extra=dict.fromkeys(more.extra),
+            stderr=dict.fromkeys(more.stderr),
+            status=dict.fromkeys(more.status, "not_identifiable"),
+        )
     point = Predictor(
         input=float(optimum.point.gain[k]),
         damping=float(np.exp(optimum.point.log_damping[k])),

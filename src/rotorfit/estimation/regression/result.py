@@ -96,7 +96,7 @@ def axis_of_rung(rung: MethodResult, axis: str) -> tuple[Axis, str]:
         damping=value["damping"] if status["damping"] == "ok" else None,
         delay=value["delay"] if status["delay"] == "ok" else None,
         stderr={name: error[name] if status[name] == "ok" else None for name in COEFFICIENTS},
-        ci95={name: ends[name] if _bounded(name, value) else (None, None) for name in COEFFICIENTS},
+        ci95={name: ends[name] if _inside(value["delay"]) else (None, None) for name in COEFFICIENTS},
         status=status,
         predictor=Predictor(value["input"], value["damping"], value["delay"]),
         combinations=_combinations(rung, k),
@@ -118,10 +118,10 @@ def _combinations(rung: MethodResult, k: int) -> dict[str, Combination]:
     return out
 
 
-def _bounded(name: str, value: Mapping[str, float]) -> bool:
-    """Whether the interval of a coefficient is valid: a delay at the end of its range invalidates damping, too."""
+def _inside(delay: float) -> bool:
+    """Whether a delay [s] lies inside its range: at an end, no interval is valid, whatever the coefficient."""
     low, high = DELAY_RANGE
-    return name == "input" or low + AT_BOUND < value["delay"] < high - AT_BOUND
+    return low + AT_BOUND < delay < high - AT_BOUND
 
 
 _WORDS = {"input": "input gain", "damping": "damping", "delay": "delay"}
@@ -136,7 +136,7 @@ def _statuses(value: Mapping[str, float], half: Mapping[str, float]) -> tuple[di
         "delay": 2 * half["delay"] > WIDEST_DELAY,
     }
     reasons = {name: f"the interval of the {_WORDS[name]} is too wide" if wide[name] else "" for name in COEFFICIENTS}
-    if not _bounded("delay", value):
-        reasons["delay"] = reasons["damping"] = f"the delay ended at {value['delay']:.2f} s, the end of its range"
+    if not _inside(value["delay"]):
+        reasons = dict.fromkeys(COEFFICIENTS, f"the delay ended at {value['delay']:.2f} s, the end of its range")
     status = {name: "not_identifiable" if reason else "ok" for name, reason in reasons.items()}
     return status, next((reason for reason in reasons.values() if reason), "")
