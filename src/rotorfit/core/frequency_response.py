@@ -13,6 +13,10 @@ Spectrum = npt.NDArray[np.complex128]
 Instrument = Literal["command", "tones", "reference", "none"]
 
 
+KNOTS = 4
+"""Number of lowest frequencies whose line of phases tells how many half turns the phase at rest is off."""
+
+
 @dataclass(frozen=True)
 class FrequencyResponse:
     """Frequency response of one axis on one flight at K frequencies; K = 0 where it cannot be estimated.
@@ -65,7 +69,11 @@ class FrequencyResponse:
             return np.asarray(self.expected + off, np.float64)
         phase = np.asarray(np.unwrap(np.angle(self.response)), np.float64)
         w = self.frequency
-        at_rest = phase[0] - w[0] * (phase[1] - phase[0]) / (w[1] - w[0]) if w.size > 1 else phase[:1].sum()
+        at_rest = phase[:1].sum()
+        if w.size > 1:  # by the errors of the phases: a noisy one at the lowest frequency must not decide alone
+            near = slice(0, KNOTS)
+            certainty = self.gain[near] / np.maximum(self.stderr[near, 1], 1e-12)
+            at_rest = np.polynomial.polynomial.polyfit(w[near], phase[near], 1, w=certainty)[0]
         return np.asarray(phase - np.pi * np.round(at_rest / np.pi + 0.25), np.float64)
 
     @property

@@ -36,12 +36,18 @@ def answers_motion(windows: tuple[Window, ...]) -> bool:
 
 
 def _lagged(window: Window, step: float, past: int) -> tuple[Array, Array, Array]:
-    """Velocity over each step (S,), its predictors (S, 2 past + 2), and the command in that step (S,)."""
+    """Velocity over each step (S,), its predictors (S, C), and the command in that step (S,).
+
+    Where the heading turns within a window, what it brings in of the other command is a predictor, too: the command is
+    that along the mean heading, and would seem to respond to what it leaves out.
+    """
     edge = np.arange(window.time[0], window.time[-1], step)
     velocity = np.diff(np.interp(edge, window.time, window.position)) / step
     row = np.searchsorted(window.switch, (edge[:-1] + edge[1:]) / 2, side="right") - 1
     command = window.command[np.clip(row, 0, window.command.size - 1)]
     rows = np.arange(past, velocity.size)
     back = rows[:, None] - np.arange(past + 1)
-    X = np.hstack([velocity[back[:, 1:]], command[back], np.ones((rows.size, 1))])
+    across = [np.asarray(one)[np.clip(row, 0, window.command.size - 1)] for one in (window.turned, window.turning)]
+    beside = [one[back] for one in across if np.any(one)]
+    X = np.hstack([velocity[back[:, 1:]], command[back], *beside, np.ones((rows.size, 1))])
     return velocity[rows], X, command[rows]
