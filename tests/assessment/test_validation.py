@@ -11,6 +11,7 @@ import pytest
 from flights import CARD, by_hand, fit_as_flown, flown, recorded, steps
 from rotorfit.assessment.validation import dynamics_from_model, residuals, to_mapping, validate
 from rotorfit.core.errors import FlightError
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model, Predictor, unknown_axis
@@ -279,3 +280,25 @@ def test_axes_without_a_predictor_and_flights_too_short_have_no_residuals() -> N
 
     assert set(residuals(model, flight_of())) == {"yaw"}
     assert residuals(model, replace(flight_of(), segments=(Segment(0.0, 0.7),))) == {}
+
+
+# A flight that was read with another card
+
+
+@pytest.mark.parametrize(("factor", "told"), [(-1.0, "the sign"), (100.0, "per cent"), (1.0, "")])
+def test_commands_of_another_sign_or_unit_are_the_cards_and_not_the_models(factor: float, told: str) -> None:
+    flight, k = flight_of(), AXES.index("y")
+    command = flight.command.copy()
+    command[:, k] *= factor
+
+    found = [one for one in validate(of(), [replace(flight, command=command)]).findings if one.code == "card_differs"]
+    assert [one.axis for one in found] == (["y"] if told else [])
+    assert all(told in one.remedy for one in found)
+    ratio = float(found[0].evidence.split("moves ")[1].split()[0]) if found else 1.0
+    assert ratio == pytest.approx(1 / factor, rel=0.2)
+
+
+def test_errors_of_the_data_of_a_flight_are_told_first() -> None:
+    wrong = Finding("axes_exchanged", "error", "x acts left", "none of it is the vehicle's", "exchange the columns")
+
+    assert validate(of(), [replace(flight_of(), findings=(wrong,))]).findings[0] == wrong

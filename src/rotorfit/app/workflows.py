@@ -230,7 +230,9 @@ def validate_logs(
     """
     compile_beforehand(VALIDATION, progress)
     own = card_from_mapping(model.card.raw, "the model's card")
-    flights = tuple(without_held_axes(load_flights(logs, card, own, progress), beside))
+    chosen = load_card(card) if isinstance(card, str) else card
+    flown = [_diagnosed(*one) for one in _all_flown(logs, chosen, own, progress)]
+    flights = tuple(without_held_axes(flown, beside))
     return validate(model, flights, horizons, progress), flights
 
 

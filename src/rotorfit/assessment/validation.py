@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
+from rotorfit.assessment.mismatch import findings_of_mismatch
 from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.whiteness import REACH, findings_of_residuals, residual_tests
 from rotorfit.core import parallel
@@ -123,13 +124,14 @@ def validate(
         for finding in findings_of_residuals(axis, each, flight.path)
     ]
     found += findings_of_responses(responses)
+    found = [*findings_of_mismatch(model, flights), *sorted(found, key=lambda finding: finding.severity == "info")]
     return Validation(
         flights=tuple(scores["model"]),
         baselines={name: tuple(scores[name]) for name in BASELINES},
         errors={name: tuple(each) for name, each in errors.items()},
         paired=tuple(paired_test(("model", name), errors["model"], errors[name], counted) for name in BASELINES),
         residuals=tuple(tests),
-        findings=tuple(sorted(found, key=lambda finding: finding.severity == "info")),
+        findings=tuple(found),
         responses=responses,
         bands=tuple(bands),
     )

@@ -379,7 +379,7 @@ class Validation:
             flight, from the horizon; NaN for an axis without a model.
         paired: The model against each baseline.
         residuals: One mapping per flight, from the axes that it commands and the model knows to the innovation tests.
-        findings: Findings from the tests of the innovations and of the frequency responses.
+        findings: Errors of the flights, and findings from the tests of the innovations and of the frequency responses.
         responses: One mapping per flight, from the same axes to their frequency responses compared with the model's.
         bands: One mapping per flight, from the axes that the model knows and the horizons to the coverage of the error
             bands that the predictor stated.

@@ -1,0 +1,79 @@
+"""Findings that a flight of a validation and the model do not speak of the same commands: the card may be wrong.
+
+The velocity along an axis is compared with the response of the model to the command of that axis alone, a straight line
+in time removed from both. Their ratio is near 1 under the right card, whatever the quality of the model.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import Model, first_order
+from rotorfit.diagnosis.command_response import EXPLAINED, GRID, LEAST_POSES, thinned
+from rotorfit.dynamics.first_order_low_pass import first_order_low_pass
+from rotorfit.dynamics.kinematics import motion_from_flight
+
+ALIKE = 3.0
+"""Largest ratio of a velocity to the model's, or inverse, that is left to the scores."""
+
+FASTEST_POLE = 1e3
+"""Damping beyond which a response follows its command at once on the grid [1/s]."""
+
+
+def findings_of_mismatch(model: Model, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Errors of the data of flights, and axes that respond backwards or by several times what the model says."""
+    for flight in flights:
+        wrong = [finding for finding in flight.findings if finding.severity == "error"]
+        yield from wrong
+        if not wrong:
+            yield from _ratios(model, flight)
+
+
+def _ratios(model: Model, flight: Flight) -> Iterator[Finding]:
+    motion = motion_from_flight(flight)
+    if len(motion.time) < LEAST_POSES:
+        return
+    motion = thinned(motion, flight.duration)
+    line = np.linalg.qr(np.column_stack([np.ones_like(motion.time), motion.time - motion.time.mean()]))[0]
+    for axis in flight.axes:
+        if model.axes[axis].predictor is None or not np.ptp(flight.command[:, AXES.index(axis)]) > 0:
+            continue
+        seen, expected = (
+            one - line @ (line.T @ one)
+            for one in (motion.velocity[:, AXES.index(axis)], _response(model, flight, axis, motion.time))
+        )
+        along, size = float(seen @ expected), float(expected @ expected)
+        if size == 0 or along**2 < EXPLAINED * size * float(seen @ seen):
+            continue
+        ratio = along / size
+        if ratio < 0 or not 1 / ALIKE < ratio < ALIKE:
+            yield _finding(axis, flight, ratio)
+
+
+def _response(model: Model, flight: Flight, axis: str, time: Array) -> Array:
+    """Velocity that the first-order law of an axis gives to its command alone, at some times, shape (N,)."""
+    point = first_order(model, axis).predictor
+    grid = np.arange(flight.command_time[0], flight.command_time[-1] + GRID, GRID)
+    held = flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1, AXES.index(axis)]
+    damping = min(max(point.damping, 1e-2), FASTEST_POLE)
+    smooth = first_order_low_pass(held[:, None], float(np.exp(-GRID * damping)))[:, 0]
+    return np.asarray(point.input / damping * np.interp(time - point.delay, grid, smooth))
+
+
+def _finding(axis: str, flight: Flight, ratio: float) -> Finding:
+    backwards = ratio < 0
+    return Finding(
+        "card_differs",
+        "error",
+        f"{flight.path}: {axis} moves {ratio:+.3g} times as fast as the model says of its commands",
+        f"the scores of {axis} do not judge the model: this flight was read with another meaning of its commands or "
+        "poses than those of the fit, or is of another vehicle",
+        f"give the {axis} channel of [command] the sign that it has in the card of the fit"
+        if backwards
+        else f"compare units and scales of {axis} in [command] and [pose] with those of the card of the fit: per cent, "
+        "degrees, cm and mm differ by 100, 57.3, 100 and 1000",
+        axis,
+    )
