@@ -228,9 +228,15 @@ def _fastest(
             break
     frozen = axis in frozen_axes(model.findings)
     remedy = MEND if frozen else "fly the next flight (`rotorfit plan --after`) and fit again"
+    law = model.axes[axis].structure
+    if isinstance(own, LaggedAxis) and not frozen:
+        remedy = (
+            f"more flights do not help where its {law} is known well: its gains would be those of the first-order law; "
+            "design a controller for the law itself (`rotorfit export --to python-control`)"
+        )
     return quietest or (
-        f"too poorly known: not even at {BANDWIDTHS[0]:g} rad/s do 95 % of the vehicles that its covariance allows "
-        f"keep a peak of {peak:g}; {remedy}"
+        f"not even at {BANDWIDTHS[0]:g} rad/s do 95 % of the vehicles that its covariance allows keep a peak of "
+        f"{peak:g}: it is too poorly known; {remedy}"
     )
 
 

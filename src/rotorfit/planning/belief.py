@@ -211,6 +211,12 @@ def belief_from_model(model: Model, where: str) -> Belief:
     if richer:
         laws = ", ".join(dict.fromkeys(richer.values()))
         notes.append(f"{', '.join(richer)}: planned for the first-order law with a delay, not for {laws}")
+    refuted = [axis for axis in known if "refuted" in model.axes[axis].status.values()]
+    if refuted:
+        notes.append(
+            f"{', '.join(refuted)}: the flights refute the law; the errors here are those of more data under it, and "
+            "the model's intervals, which cover what the law leaves out, will not shrink by as much"
+        )
     unsure = [axis for axis in AXES if len(model.axes[axis].laws) > 1]
     if unsure:
         notes.append(
