@@ -14,6 +14,7 @@ from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.case import UNPROVEN, Case, same_motion
 from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.assessment.method_comparison import Ladder, ladder
+from rotorfit.assessment.mismatch import beginning
 from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import with_influence
@@ -93,6 +94,11 @@ def load_flights(
 def _diagnosed(raw: Log | None, flight: Flight) -> Flight:
     """The flight with the findings about its log; a flight that was given as such keeps its own."""
     return flight if raw is None else replace(flight, findings=findings_of_flight(raw, flight))
+
+
+def _with_errors(raw: Log | None, flight: Flight) -> Flight:
+    """The flight with the findings about its beginning: enough to tell that it was read with a wrong card."""
+    return flight if raw is None else replace(flight, findings=findings_of_flight(raw, beginning(flight)))
 
 
 def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Flight]:
@@ -231,7 +237,7 @@ def validate_logs(
     compile_beforehand(VALIDATION, progress)
     own = card_from_mapping(model.card.raw, "the model's card")
     chosen = load_card(card) if isinstance(card, str) else card
-    flown = [_diagnosed(*one) for one in _all_flown(logs, chosen, own, progress)]
+    flown = [_with_errors(*one) for one in _all_flown(logs, chosen, own, progress)]
     flights = tuple(without_held_axes(flown, beside))
     return validate(model, flights, horizons, progress), flights
 

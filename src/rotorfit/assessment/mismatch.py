@@ -15,6 +15,10 @@ from rotorfit.core.model import Model, first_order
 from rotorfit.diagnosis.command_response import EXPLAINED, GRID, LEAST_POSES, thinned
 from rotorfit.dynamics.first_order_low_pass import first_order_low_pass
 from rotorfit.dynamics.kinematics import motion_from_flight
+from rotorfit.estimation.likelihood.optima import between
+
+LOOKED = 300.0
+"""Time from the start of a flight that is looked at [s]: a card is wrong at once."""
 
 ALIKE = 3.0
 """Largest ratio of a velocity to the model's, or inverse, that is left to the scores."""
@@ -32,7 +36,14 @@ def findings_of_mismatch(model: Model, flights: Sequence[Flight]) -> Iterator[Fi
             yield from _ratios(model, flight)
 
 
+def beginning(flight: Flight) -> Flight:
+    """The part of a flight that is looked at."""
+    start, end = flight.segments[0].start, flight.segments[-1].end
+    return flight if end - start <= LOOKED else between(flight, start, start + LOOKED)
+
+
 def _ratios(model: Model, flight: Flight) -> Iterator[Finding]:
+    flight = beginning(flight)
     motion = motion_from_flight(flight)
     if len(motion.time) < LEAST_POSES:
         return

@@ -228,10 +228,10 @@ def _fastest(
             break
     frozen = axis in frozen_axes(model.findings)
     remedy = MEND if frozen else "fly the next flight (`rotorfit plan --after`) and fit again"
-    law = model.axes[axis].structure
+    structure = model.axes[axis].structure
     if isinstance(own, LaggedAxis) and not frozen:
         remedy = (
-            f"more flights do not help where its {law} is known well: its gains would be those of the first-order law; "
+            f"more flights do not help where its {structure} is known well: its gains would be those of the first-order law; "
             "design a controller for the law itself (`rotorfit export --to python-control`)"
         )
     return quietest or (
