@@ -178,6 +178,22 @@ def test_a_loop_without_tones_or_reference_has_no_response() -> None:
     assert "responds to its motion" in found.why_none
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_turning_vehicle_is_no_loop(seed: int) -> None:
+    """With x and y alike: their commands mix as the heading turns, and so do their responses."""
+    both = steps(("x", "y"), 0.2, seed=seed)
+
+    def turning(t: Array) -> Array:
+        command = both(t)
+        command[:, 3] = np.where((t / 2.0).astype(int) % 2, -0.15, 0.15)
+        return command
+
+    alike = replace(Truth(), gamma=(4.0, 0.5, 4.0, 0.5, *Truth().gamma[4:]), stale_share=0.0)
+    flight = flown(alike, turning, 60.0, seed)
+    assert np.ptp(flight.yaw) > np.radians(20)
+    assert [frequency_response(flight, axis).why_none for axis in ("x", "y")] == ["", ""]
+
+
 def test_an_axis_that_is_not_commanded_has_none() -> None:
     found = frequency_response(flown(STILL, steps(("x",)), 20.0), "z")
     assert "not commanded" in found.why_none
@@ -363,3 +379,12 @@ def test_the_autopilots_sines_lie_in_the_bands(autopilot: Path, name: str, gains
             hits[k] += int(np.sum(np.abs(middle[at] - true[k]) <= half))
     assert hits[0] >= gains
     assert hits[1] >= delays
+
+
+def test_a_noisy_phase_at_the_lowest_frequency_turns_no_delay_by_half_a_turn() -> None:
+    omega = np.array([0.3, 0.6, 1.0, 1.6, 2.5, 4.0])
+    law = 2.0 * np.exp(-0.2j * omega) / (1j * omega + 1.0)
+    spoiled = law * np.exp(1j * np.array([-1.6, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    error = np.abs(law)[:, None] * np.array([1.0, 0.02, 0.02, 0.02, 0.02, 0.02])[:, None] * np.ones(2)
+    told = FrequencyResponse("z", omega, spoiled, error, np.full(6, 2.0), np.ones(6), "command")
+    np.testing.assert_allclose(told.delay[1:], -np.unwrap(np.angle(law))[1:] / omega[1:], atol=1e-9)

@@ -231,8 +231,8 @@ def _fastest(
     structure = model.axes[axis].structure
     if isinstance(own, LaggedAxis) and not frozen:
         remedy = (
-            f"more flights do not help where its {structure} is known well: its gains would be those of the first-order law; "
-            "design a controller for the law itself (`rotorfit export --to python-control`)"
+            f"more flights do not help where its {structure} is known well: gains would be those of the first-order "
+            "law; design a controller for the law itself (`rotorfit export --to python-control`)"
         )
     return quietest or (
         f"not even at {BANDWIDTHS[0]:g} rad/s do 95 % of the vehicles that its covariance allows keep a peak of "
