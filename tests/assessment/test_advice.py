@@ -57,6 +57,23 @@ def test_every_finding_is_whole_sentences_in_one_line_each() -> None:
             assert "None" not in text
 
 
+@pytest.mark.parametrize(("lag", "first", "told"), [(0.5, 0.2, True), (0.5, 0.0, False), (0.2, 0.2, False)])
+def test_a_long_lag_on_a_flight_that_begins_under_a_command_is_told(lag: float, first: float, told: bool) -> None:
+    result = well()
+    point = result.model.axes["z"].predictor
+    assert point is not None
+    (flight,) = result.flights
+    command = flight.command.copy()
+    command[:5, 2] = first
+    lagged = replace(
+        changed(result, structure="first_order_delay_lag", predictor=replace(point, extra={"lag": lag})),
+        flights=(replace(flight, command=command),),
+        estimates={},
+    )
+
+    assert (("begins_in_motion", "z") in found(lagged)) == told
+
+
 def test_the_gravest_come_first() -> None:
     flight = flown(Truth(), partial(two_sines, axes=("x",)), 15.0, 3)
     slow = replace(Truth(), gamma=(GAMMA_B[0], 0.02, *GAMMA_B[2:]), delay=(0.25,) * 4)

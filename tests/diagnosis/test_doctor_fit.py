@@ -88,6 +88,14 @@ def test_responses_before_their_commands_and_the_offset_that_the_remedy_gives(tm
     assert mended["axes"]["z"]["input"] == pytest.approx(straight["input"], rel=1e-3)
 
 
+@pytest.mark.parametrize("axis", [0, 2, 3])
+def test_a_reversed_command_under_sines_is_no_delay_of_half_a_period(tmp_path: Path, axis: int) -> None:
+    log = flown(two_sines, 60.0)
+    log.command[:, axis] *= -1
+
+    assert not {code for code, _ in said("info", *log.write(tmp_path)) if code.startswith("response_")}
+
+
 def test_an_offset_of_the_sticks_that_the_card_does_not_say_and_its_remedy(tmp_path: Path) -> None:
     log = flown()
     log.command[:, 2] = 1500.0 + 400.0 * log.command[:, 2]

@@ -269,6 +269,22 @@ def test_messages_that_do_not_come_are_asked_for_again(bench: Bench) -> None:
     assert bench.autopilot.requests.count(511) == done
 
 
+def test_streams_that_come_before_they_were_asked_for_are_asked_for_all_the_same(bench: Bench) -> None:
+    bench.room.flight_mode = "flying"
+    bench.link.greet()
+    bench.fly(1.0)
+    assert bench.autopilot.requests.count(511) == len(mavlink.STREAMS)
+
+
+def test_the_parameter_is_asked_for_until_it_comes(bench: Bench) -> None:
+    bench.autopilot.goes_on = 0.0  # no answer that counts
+    bench.link.greet()
+    bench.fly(3.0)
+    bench.autopilot.goes_on = 0.75
+    bench.fly(3.0)
+    assert bench.link.silence.goes_on == 0.75
+
+
 def test_a_refused_mode_is_not_asked_for_again_and_hover_may_be_sent(bench: Bench) -> None:
     bench.room.flight_mode = "flying"
     bench.autopilot.refuse[176] = 2

@@ -85,6 +85,13 @@ def _one_clock(flight: Flight) -> bool:
 WEAK_GAIN = 0.2
 """Relative standard error of the input gain above which the excitation is called weak."""
 
+LONG_LAG = 0.35
+"""Lag from which its state at the start of a flight matters: of a lag of 0.3 s no harm was found, of 0.4 s two of eight
+intervals missed [s]."""
+
+SMALL_START = 0.1
+"""Share of the largest command below which a flight counts as begun in hover."""
+
 IMPOSSIBLE_TRIM = 5.0
 """Trim that no wind and no misalignment gives: half of gravity [m/s^2; rad/s^2 for yaw]."""
 
@@ -137,6 +144,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += (one for one in known if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
             found += _trim_findings(name, axis, flights)
+            found += _start_findings(name, axis, flights)
             found += _excitation_findings(name, axis, flights)
             laws = law_findings(name, axis)  # no other law explains a vehicle that changed
             found += (replace(one, remedy=changed[0].remedy) if changed else one for one in laws)
@@ -339,6 +347,9 @@ def _trim_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator
     trims = [trim for trim in axis.trim if trim is not None]
     if not trims or not flights or axis.predictor is None or min(map(abs, trims)) < IMPOSSIBLE_TRIM:
         return
+    command = flights[0].command[:, AXES.index(name)]
+    if axis.status["input"] != "ok" or abs(np.mean(command)) < 2.0 * np.std(command):  # about 0, or hardly known
+        return
     trim, channel = sum(trims) / len(trims), flights[0].card.command[name]
     rest = -trim / axis.predictor.input
     unit = "rad/s^2" if name == "yaw" else "m/s^2"
@@ -348,10 +359,32 @@ def _trim_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator
         f"with a command of 0, {name} accelerates by {trim:+.3g} {unit}, as no wind and no misalignment does; it is at "
         f"rest with {channel.raw(rest):.4g} in the log",
         f"input gain, damping and delay of {name} are right; plans and controllers take 0 for hover, which it is not",
-        f"give {name} in [command] of the card offset = {channel.offset - rest / channel.factor:.4g} (now "
-        f"{channel.offset:g})",
+        f"give {name} in [command] of the card offset = {channel.offset - rest / channel.factor:.6g} (now "
+        f"{channel.offset:.6g})",
         name,
     )
+
+
+def _start_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Finding that a flight begins under a command that may not have been held, so that a long lag is not settled."""
+    lag = axis.predictor.extra.get("lag", 0.0) if axis.predictor else 0.0
+    if lag < LONG_LAG:
+        return
+    for flight in flights:
+        first = np.searchsorted(flight.command_time, [part.start for part in flight.segments], side="right") - 1
+        command = np.abs(flight.command[:, AXES.index(name)])
+        moved = float(np.max(command[np.maximum(first, 0)]))
+        if moved > SMALL_START * float(np.max(command)):
+            yield Finding(
+                "begins_in_motion",
+                "warning",
+                f"{flight.path}: a stretch begins with a command of {moved:.3g} on {name}, and its lag of {lag:.2g} s "
+                "is taken to have settled under it before",
+                f"if the command had only just been given, the intervals of {name} are too narrow",
+                "begin the flight, or the span (LOG@T0:T1), in hover",
+                name,
+            )
+            return
 
 
 def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:

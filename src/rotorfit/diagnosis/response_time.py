@@ -43,6 +43,11 @@ def response_time_findings(recording: Recording) -> Iterator[Finding]:
             yield _too_late(found)
 
 
+MORE = 0.1
+"""Least further share of the variance that a response after the range must explain: time constants between those that
+are tried look like delays. No vehicle responds before its command."""
+
+
 @dataclass(frozen=True)
 class _Beyond:
     """An axis that responds beyond the delays that are searched.
@@ -72,32 +77,31 @@ def _beyond(recording: Recording, axis: str) -> _Beyond | None:
         return None
     motion = thinned(recording.motion, flight.duration)
     commands = np.array([one[:, 0] for _, one in smoothed(flight, motion.time, [column], DELAYS)])
-    left = _left(commands, motion, column).reshape(len(CONSTANTS), len(DELAYS)).min(axis=0)
+    along = _along(commands, motion, column).reshape(len(CONSTANTS), len(DELAYS))
+    left = 1 - np.maximum(along.max(axis=0), 0.0) ** 2
     searched = np.abs(DELAYS - np.mean(DELAY_RANGE)) < np.ptp(DELAY_RANGE) / 2 + ROUNDING
-    inside = float(np.min(left[searched]))
+    inside = 1 - float(np.max(along[:, searched] ** 2))  # a reversed axis is left to the checks of signs
     best = int(np.argmin(left))
     if left[best] > min(1 - EXPLAINED, BETTER * inside):
+        return None
+    if DELAYS[best] > DELAY_RANGE[1] and inside - left[best] < MORE:
         return None
     return _Beyond(axis, float(DELAYS[best]), float(left[best]), inside)
 
 
-def _left(commands: Array, motion: Motion, column: int) -> Array:
-    """Share of the variance of a velocity that is left by each smoothed command, shape (L,).
+def _along(commands: Array, motion: Motion, column: int) -> Array:
+    """Correlation of a velocity with each smoothed command, shape (L,); straight lines in time are removed from both.
 
     Args:
         commands: Smoothed commands, shape (L, N).
         motion: The motion at the same N times.
         column: Its axis, as in `AXES`.
-
-    Returns:
-        1 for a command that moves the vehicle the other way; straight lines in time are removed from both.
     """
     line = np.linalg.qr(np.column_stack([np.ones_like(motion.time), motion.time - motion.time.mean()]))[0]
     velocity = motion.velocity[:, column] - line @ (line.T @ motion.velocity[:, column])
     commands = commands - (commands @ line) @ line.T
     size = np.sqrt(np.sum(commands**2, axis=1) * np.sum(velocity**2))
-    along = np.divide(commands @ velocity, size, out=np.zeros_like(size), where=size > 0)
-    return np.asarray(1 - np.maximum(along, 0.0) ** 2)
+    return np.asarray(np.divide(commands @ velocity, size, out=np.zeros_like(size), where=size > 0))
 
 
 def _too_early(early: list[_Beyond], card: Card) -> Finding:
@@ -110,8 +114,8 @@ def _too_early(early: list[_Beyond], card: Card) -> Finding:
         "; ".join(each),
         "no coefficient of any axis is the vehicle's: the stamps of the commands and those of the poses do not agree",
         "stamp each command when it is sent, by the clock of the poses; where only this log is left, write "
-        f"offset = {offset:.6g} (now {time.offset:g}) for time in [command] of the card: then input gain and damping "
-        "are the vehicle's, and the delay is not",
+        f"offset = {offset:.12g} (now {time.offset:.12g}) for time in [command] of the card: then input gain and "
+        "damping are the vehicle's, and the delay is not",
     )
 
 

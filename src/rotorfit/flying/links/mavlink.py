@@ -316,7 +316,8 @@ class MavlinkLink:
             self._meet(message.autopilot, source)
         if self._autopilot is None or source != self._target:
             return
-        self._missing.pop(kind, None)
+        if self._requested_times > 1:  # before, it may come at another rate than that asked for
+            self._missing.pop(kind, None)
         if kind == "HEARTBEAT":
             self._heard = received
             self._watch_mode(mode_of(self._known, message.custom_mode))
@@ -455,7 +456,8 @@ class MavlinkLink:
             self._synced = now
             self._requests.append(now)
             self._say("timesync", 0, now)
-        overdue = self._requested and self._missing and now - self._requested >= 2 * SECOND
+        wanted = self._missing or (self._commands is not None and self._goes_on is None)
+        overdue = self._requested and wanted and now - self._requested >= 2 * SECOND
         if overdue and self._requested_times < REQUESTS_OF_MESSAGES:
             self._request()
         if self._refused is not None and now - self._refused[0] >= EXPLAINING:
