@@ -31,6 +31,7 @@ class Tello:
         self._charge = 1.0
         self.deaf = False  # sends nothing, for tests
         self.heard: list[str] = []
+        self.mute: set[str] = set()  # words that it neither obeys nor answers, for tests
         self.says: dict[str, str] = {}  # words to the answers that they get instead, for tests
 
     def step(self, wait: float = 0.002) -> None:
@@ -55,6 +56,8 @@ class Tello:
             right, forward, up, clockwise = (int(number) / 100 for number in numbers)
             self._room.send((forward, -right, up, -clockwise))
             return  # a Tello does not answer these
+        if word in self.mute:
+            return
         self._client = client[0] if word == "command" else self._client
         self._looking = self._looking or (word == "mon" and self._pads)
         if word in ("takeoff", "land"):

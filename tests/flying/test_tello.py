@@ -108,6 +108,24 @@ def test_a_lost_link_is_an_error_at_the_next_command(room: StubRoom) -> None:
     assert room.commands == [(0.0, 0.0, 0.0, 0.0)]  # hover is sent all the same
 
 
+def test_a_late_answer_to_the_take_off_is_none_to_the_landing(room: StubRoom) -> None:
+    port = free_port()
+    drone = Tello(room, HOST, port)
+    with drone.socket, running(drone.step):
+        link = tello.open_link(f"{HOST}:{port}", load_card("tello"))
+        drone.mute.update({"takeoff", "land"})
+        link.act("take_off")
+        link.act("land")
+        link.receive(link.now + TENTH)
+        drone.socket.sendto(b"ok", link._talk.getsockname())  # it has climbed
+        link.receive(link.now + TENTH)
+        assert link.undone
+        drone.mute.clear()
+        link.receive(link.now + 8 * TENTH)
+        assert not link.undone
+        link.act("close")
+
+
 def test_a_landing_is_asked_for_until_it_is_answered_with_ok(room: StubRoom) -> None:
     port = free_port()
     drone = Tello(room, HOST, port)

@@ -75,6 +75,7 @@ class TelloLink:
         self._inbox: list[Sample] = []
         self._replies: list[str] = []
         self._asked, self._asked_at = "", 0  # `takeoff` or `land` until it is answered with ok, and when it was sent
+        self._open_questions: list[str] = []  # what was sent and not answered yet, in order
         self._heard = wall_clock()
         self._open = True
         try:
@@ -136,9 +137,13 @@ class TelloLink:
         if action == "close":
             self._close()
             return
-        self._asked, self._asked_at = {"take_off": "takeoff", "land": "land"}[action], wall_clock()
         self._replies.clear()
-        self._say(self._asked)
+        self._question({"take_off": "takeoff", "land": "land"}[action])
+
+    def _question(self, word: str) -> None:
+        self._asked, self._asked_at = word, wall_clock()
+        self._open_questions.append(word)
+        self._say(word)
 
     @property
     def undone(self) -> str:
@@ -146,17 +151,20 @@ class TelloLink:
         return "tello: it has not answered `land` with ok" if self._asked == "land" else ""
 
     def _follow(self) -> None:
-        """Reads the answers to `takeoff` and `land`, and repeats `land`, which does no harm, until it is answered."""
+        """Reads the answers to `takeoff` and `land`, and repeats `land`, which does no harm, until it is answered.
+
+        Answers come in the order of the questions: that to `takeoff`, once the Tello has climbed, is none to `land`.
+        """
         for reply in self._replies:
-            if reply.lower() == "ok":
-                self._asked = ""
-            elif self._asked:
+            word = self._open_questions.pop(0) if self._open_questions else ""
+            if reply.lower() != "ok" and word:
                 now = wall_clock()
-                self._inbox.append(Sample("said", now, now, (), f"Tello answers {self._asked}: {reply}"))
+                self._inbox.append(Sample("said", now, now, (), f"Tello answers {word}: {reply}"))
+            elif word == self._asked:
+                self._asked = ""
         self._replies.clear()
         if self._asked == "land" and wall_clock() - self._asked_at > 1e9 * PATIENCE:
-            self._asked_at = wall_clock()
-            self._say("land")
+            self._question("land")
 
     def _silent(self) -> bool:
         return wall_clock() - self._heard > 1e9 * SILENCE
