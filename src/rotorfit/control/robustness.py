@@ -98,7 +98,7 @@ def known_vehicle(model: Model, axis: str) -> LoopVehicle:
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[LoopVehicle]:
     """Vehicles drawn for an axis from the model: laws by their weights, parameters by their normal distributions.
 
-    A lag is drawn by its logarithm. No delay is below 0; one that the model does not know is drawn as that of
+    No delay is below 0; one that the model does not know is drawn as that of
     commercial quadrotors, `belief.DELAY`. An axis whose laws have no transfer function is drawn under the first-order
     law beside them.
 
@@ -142,20 +142,24 @@ def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
 
 
 def _drawn(law: Weighed, count: int, rng: np.random.Generator) -> list[LoopVehicle]:
-    """Vehicles drawn from the distribution of one law."""
+    """Vehicles drawn from the distribution of one law.
+
+    Where a lag or a zero would leave its range, it stays at the end, and the delay takes up what is left: the data tell
+    their sum better than the parts.
+    """
     structure, point = structure_named(law.structure), law.predictor
     extras = {one.name: one for one in structure.extras}
     center = {"input": point.input, "damping": point.damping, "delay": point.delay, **point.extra}
-    by_size = [name in extras and extras[name].logarithmic for name in law.stderr]
-    scale = np.array([1 / center[name] if log else 1.0 for name, log in zip(law.stderr, by_size, strict=True)])
-    off = rng.multivariate_normal(np.zeros(scale.size), law.covariance * np.outer(scale, scale), count)
+    off = rng.multivariate_normal(np.zeros(len(law.stderr)), law.covariance, count)
     values = {name: np.full(count, value) for name, value in center.items()}
-    for name, log, moved in zip(law.stderr, by_size, off.T, strict=True):
-        values[name] = values[name] * np.exp(moved) if log else values[name] + moved
+    for name, moved in zip(law.stderr, off.T, strict=True):
+        values[name] = values[name] + moved
     if "delay" not in law.stderr and structure.delayed:
         values["delay"] = rng.normal(*DELAY, count)
     for name, extra in extras.items():
-        values[name] = np.clip(values[name], extra.low, extra.high)
+        inside = np.clip(values[name], extra.low, extra.high)
+        values["delay"] = values["delay"] + (values[name] - inside) * (-1.0 if name == "zero" else 1.0)
+        values[name] = inside
     drawn = []
     for row in zip(*(values[name].tolist() for name in center), strict=True):
         gain, damping, delay, *rest = row
