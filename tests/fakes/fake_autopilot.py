@@ -33,6 +33,7 @@ class Autopilot:
         self._beat = self._state = -SECOND
         self.refuse: dict[int, int] = {}  # commands to the results that answer them instead of obedience
         self.mute: set[int] = set()  # commands that it neither obeys nor answers
+        self.silent_about: set[int] = set()  # commands that it obeys, and whose answers are lost
         self.deaf = False  # sends nothing, for tests
         self.requests: list[int] = []
         self.goes_on = 0.5
@@ -110,7 +111,8 @@ class Autopilot:
         result = self.refuse.get(message.command)
         if result is None:
             result = ACCEPTED if self._obey(message) else DENIED
-        self.connection.mav.command_ack_send(message.command, result)
+        if message.command not in self.silent_about:
+            self.connection.mav.command_ack_send(message.command, result)
 
     def _obey(self, message: Any) -> bool:
         command = message.command

@@ -302,6 +302,18 @@ def test_a_refused_mode_is_not_asked_for_again_and_hover_may_be_sent(bench: Benc
         bench.link.act("land")
 
 
+def test_a_vehicle_whose_answer_to_the_take_off_was_lost_is_landed_all_the_same(bench: Bench) -> None:
+    bench.link.greet()
+    bench.autopilot.silent_about.add(22)
+    bench.link.act("take_off")
+    with pytest.raises(LinkError, match="did not take off: no answer"):
+        bench.link.receive(bench.instant + 8 * SECOND)
+    bench.link.act("land")
+    bench.link.receive(bench.instant + SECOND)
+
+    assert bench.room.asked[-1] == "land"
+
+
 @pytest.mark.parametrize("answer", [2, None])
 def test_a_landing_that_is_refused_or_not_answered_stays_undone(bench: Bench, answer: int | None) -> None:
     bench.room.flight_mode = "flying"

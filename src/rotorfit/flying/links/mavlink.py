@@ -391,6 +391,7 @@ class MavlinkLink:
     def _repeat(self) -> None:
         """Sends the first step, or repeats it."""
         self._asked, self._tries = wall_clock(), self._tries + 1
+        self._ours = self._ours or self._steps[0] == "take_off"  # it may climb although its answer is lost
         self._command(*command_parameters(self._steps[0], self._known))
 
     def _command(self, command: int, parameters: Sequence[float]) -> None:
@@ -425,7 +426,7 @@ class MavlinkLink:
             return
         self._said = RESULTS[result] if result < len(RESULTS) else f"result {result}"
         if result == ACCEPTED:
-            self._ours = self._steps.popleft() == "take_off" or self._ours
+            self._steps.popleft()
             if self._steps:
                 self._begin()
         elif result == IN_PROGRESS:
