@@ -351,6 +351,8 @@ def _trim_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator
     if axis.status["input"] != "ok" or abs(np.mean(command)) < 2.0 * np.std(command):  # about 0, or hardly known
         return
     trim, channel = sum(trims) / len(trims), flights[0].card.command[name]
+    if max(trims) - min(trims) > 0.2 * abs(trim):  # no one offset mends all flights
+        return
     rest = -trim / axis.predictor.input
     unit = "rad/s^2" if name == "yaw" else "m/s^2"
     yield Finding(

@@ -61,6 +61,9 @@ TAKE_OFF, CLIMBED = 15.0, 0.3
 OBEYING, ANSWERING = 10.0, 10.0
 """How long the vehicle may take until it obeys commands, and until it answers the order to land [s]."""
 
+ORDERS = 5
+"""How often the order to land is given to a link that does not take it."""
+
 BRAKING, BRAKED = 3.0, 0.1
 """Longest active braking [s], and the speed that ends it [m/s]."""
 
@@ -194,14 +197,18 @@ class _Flight:
 
     def _land(self) -> bool:
         """Asks the vehicle to land, and records its way down; whether it lands."""
-        link = self.link
-        if not self._try(link.act, "land"):
+        link, ordered = self.link, False
+        for _ in range(ORDERS if self.link.live else 1):
+            if ordered := self._try(link.act, "land"):
+                break
+        if not ordered:
             self.notes.append("the link did not take the order to land: land by other means")
             return False
         self.recorder.event(link.now, "landing")
         until, latest = (link.now + round(seconds * 1e9) for seconds in (WATCHING, ANSWERING))
-        while (link.now < until or (link.undone and link.now < latest)) and self._try(self._listen):
-            pass
+        while link.now < until or (link.undone and link.now < latest):
+            if not self._try(self._listen) and not (link.live and link.undone):
+                break
         if link.undone:
             self.notes.append(f"the vehicle was asked to land and does not ({link.undone}): land by other means")
         return not link.undone
