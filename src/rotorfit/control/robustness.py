@@ -98,9 +98,8 @@ def known_vehicle(model: Model, axis: str) -> LoopVehicle:
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[LoopVehicle]:
     """Vehicles drawn for an axis from the model: laws by their weights, parameters by their normal distributions.
 
-    No delay is below 0; one that the model does not know is drawn as that of
-    commercial quadrotors, `belief.DELAY`. An axis whose laws have no transfer function is drawn under the first-order
-    law beside them.
+    No delay is below 0; one that the model does not know is drawn as that of commercial quadrotors, `belief.DELAY`. An
+    axis whose laws have no transfer function is drawn under the first-order law beside them.
 
     Args:
         model: From a fit.

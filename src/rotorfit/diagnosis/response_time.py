@@ -28,6 +28,10 @@ BETTER = 0.7
 """Largest residual variance beyond the range, as a share of the least inside it: 0.91 at least on 60 axes of recorded
 flights, and 0.6 at most where the commands of such flights are moved 0.3 s beyond it and the delay matters."""
 
+MORE = 0.1
+"""Least further share of the variance that a response after the range must explain: time constants between those that
+are tried look like delays. No vehicle responds before its command."""
+
 
 def response_time_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the time from a command to its response: one on all that come too early, and one per late axis."""
@@ -43,11 +47,6 @@ def response_time_findings(recording: Recording) -> Iterator[Finding]:
             yield _too_late(found)
 
 
-MORE = 0.1
-"""Least further share of the variance that a response after the range must explain: time constants between those that
-are tried look like delays. No vehicle responds before its command."""
-
-
 @dataclass(frozen=True)
 class _Beyond:
     """An axis that responds beyond the delays that are searched.
@@ -56,7 +55,7 @@ class _Beyond:
         axis: One of `AXES`.
         delay: Delay at which its command explains most of its velocity [s].
         left: Share of the variance of the velocity that is left there.
-        inside: The least share that is left inside `DELAY_RANGE`.
+        inside: The least share that is left inside `DELAY_RANGE`, by a command of either sign.
     """
 
     axis: str

@@ -128,11 +128,8 @@ class MavlinkLink:
         self._declined, self._untold = "", False  # the same with the reason, and whether it is still to be raised
         self._goes_on: float | None = None  # as the autopilot is set
         self._heard = self._beaten = self._synced = 0
-        self._missing, self._requested, self._requested_times = (
-            dict(self._streams),
-            0,
-            0,
-        )  # messages that have not come yet
+        self._missing = dict(self._streams)  # messages that have not come yet
+        self._requested = self._requested_times = 0  # when they were last asked for, and how often
         self._requests = deque[int](maxlen=REQUESTS)  # for the autopilot's clock, when they were made
         self._echoed = self._trip = 0  # when the last answer came, and how long it took [ns]
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
