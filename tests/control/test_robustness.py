@@ -8,9 +8,16 @@ import pytest
 from models import VEHICLE, model_of
 from rotorfit.control.control_law import law_of_bandwidth
 from rotorfit.control.margins import margins, spectral_radius
-from rotorfit.control.robustness import believed_possible, doubt, highest_peak, known_dynamics, robustness
+from rotorfit.control.robustness import (
+    believed_possible,
+    doubt,
+    highest_peak,
+    known_dynamics,
+    known_vehicle,
+    robustness,
+)
 from rotorfit.core.errors import ModelError
-from rotorfit.core.model import Model, Plain
+from rotorfit.core.model import Model, Plain, first_order
 from rotorfit.planning.belief import DELAY
 
 
@@ -82,3 +89,18 @@ def test_another_structure_is_tuned_by_its_default_point_and_an_unknown_axis_not
     assert np.std(np.array(believed_possible(model, "x", 1000, 0)), axis=0) == pytest.approx([0.1, 0.02, 0.01], rel=0.1)
     with pytest.raises(ModelError, match="no numbers for y"):
         known_dynamics(model, "y")
+
+
+@pytest.mark.parametrize("structure", ["first_order", "first_order_lag", "quadratic_drag"])
+def test_a_law_without_a_delay_or_margins_of_its_own_promises_those_of_the_first_order_law_with_one(
+    structure: str,
+) -> None:
+    model = model_of()
+    x = model.axes["x"]
+    plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
+    assert x.predictor is not None
+    point = replace(x.predictor, delay=0.0, extra={"lag": 0.1, "drag_share": 0.5, "reference_speed": 1.0})
+    other = replace(model, axes={**model.axes, "x": replace(x, structure=structure, predictor=point, plain=plain)})
+
+    assert known_vehicle(other, "x") == known_dynamics(model, "x")
+    assert believed_possible(other, "x", 20, 3) == believed_possible(model, "x", 20, 3)

@@ -42,15 +42,23 @@ class LaggedAxis(NamedTuple):
 LoopVehicle = AxisBelief | LaggedAxis
 
 
+def has_own_margins(structure: Structure) -> bool:
+    """Whether the margins of a loop follow from a law: it is linear, moves one axis, and has a delay, as a vehicle has.
+
+    A law that was chosen without a delay would promise too much.
+    """
+    return has_transfer_function(structure) and structure.delayed
+
+
 def loop_vehicle(structure: Structure, point: Predictor) -> LoopVehicle | None:
-    """The small motion of an axis; None for a law that is not linear, or that couples the axes.
+    """The small motion of an axis; None for a law that `has_own_margins` denies.
 
     No vehicle moves before its command: a delay below 0, as where stamps are off, counts as none.
     """
-    if not has_transfer_function(structure):
+    if not has_own_margins(structure):
         return None
     extra = {one.place: point.extra[one.name] for one in structure.extras}
-    delay = max(point.delay, 0.0) if structure.delayed else 0.0
+    delay = max(point.delay, 0.0)
     if LAG not in extra:
         return AxisBelief(point.input, point.damping, delay)
     return LaggedAxis(point.input, point.damping, delay, extra[LAG], extra.get(ZERO, 0.0), structure.order)

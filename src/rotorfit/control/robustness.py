@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.control.control_law import AxisLaw
-from rotorfit.control.loop_vehicle import LoopVehicle, loop_vehicle
+from rotorfit.control.loop_vehicle import LoopVehicle, has_own_margins, loop_vehicle
 from rotorfit.control.margins import frequencies, law_response, spectral_radius, vehicle_response
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
@@ -20,7 +20,6 @@ from rotorfit.core.model import (
     predictor_of,
     weighed,
 )
-from rotorfit.dynamics.transfer_function import has_transfer_function
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 
@@ -84,7 +83,7 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
 
 
 def known_vehicle(model: Model, axis: str) -> LoopVehicle:
-    """The axis under its own law, where that has a transfer function; else as `known_dynamics`.
+    """The axis under its own law, where margins follow from it; else as `known_dynamics`.
 
     Raises:
         ModelError: The axis was not excited.
@@ -99,7 +98,7 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
     """Vehicles drawn for an axis from the model: laws by their weights, parameters by their normal distributions.
 
     No delay is below 0; one that the model does not know is drawn as that of commercial quadrotors, `belief.DELAY`. An
-    axis whose laws have no transfer function is drawn under the first-order law beside them.
+    axis whose law has no margins of its own is drawn under the first-order law beside them.
 
     Args:
         model: From a fit.
@@ -123,7 +122,7 @@ def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
     """The laws that an axis may have, with the uncertainty of the vehicle; first order where they do not serve."""
     known, plain = model.axes[axis], first_order(model, axis)
     structure = structure_named(known.structure)
-    if known.predictor is None or not has_transfer_function(structure):
+    if known.predictor is None or not has_own_margins(structure):
         return (plain,)
     names = [name.partition(".")[2] for name in model.covariance_names if name.startswith(f"{axis}.")]
     at = [model.covariance_names.index(f"{axis}.{name}") for name in names]
@@ -153,7 +152,7 @@ def _drawn(law: Weighed, count: int, rng: np.random.Generator) -> list[LoopVehic
     values = {name: np.full(count, value) for name, value in center.items()}
     for name, moved in zip(law.stderr, off.T, strict=True):
         values[name] = values[name] + moved
-    if "delay" not in law.stderr and structure.delayed:
+    if "delay" not in law.stderr:
         values["delay"] = rng.normal(*DELAY, count)
     for name, extra in extras.items():
         inside = np.clip(values[name], extra.low, extra.high)

@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 from rotorfit.control.control_law import KINDS, AxisLaw, Kind, law_of_bandwidth, linear_system
-from rotorfit.control.loop_vehicle import LaggedAxis, LoopVehicle
+from rotorfit.control.loop_vehicle import LaggedAxis, LoopVehicle, has_own_margins
 from rotorfit.control.margins import Margins, closed_loop, margins
 from rotorfit.control.robustness import (
     Doubt,
@@ -32,7 +32,6 @@ from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.model import COEFFICIENTS, MEND, Model, first_order, unknown_why
 from rotorfit.core.plain import by_reason
-from rotorfit.dynamics.transfer_function import has_transfer_function
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale
@@ -268,7 +267,7 @@ def _note(model: Model, axis: str, noise: float | None) -> str:
     if axis in frozen_axes(model.findings):
         notes.append(MEND)
     if known.structure != FIRST_ORDER_DELAY.name:
-        whose = "its own" if has_transfer_function(structure_named(known.structure)) else "not those"
+        whose = "its own" if has_own_margins(structure_named(known.structure)) else "not those"
         notes.append(f"gains of the first-order law with a delay, margins {whose} of {known.structure}")
     status = known.plain.status if known.plain and known.structure != FIRST_ORDER_DELAY.name else known.status
     if unknown := [name for name in COEFFICIENTS[:2] if status[name] != "ok"]:

@@ -32,11 +32,10 @@ def findings_of_flight(log: Log, flight: Flight) -> tuple[Finding, ...]:
     """
     recording = recording_of(log, flight)
     found = {check: tuple(check(recording)) for check in CHECKS}
-    if found[frame_findings]:  # a wrong frame makes signs look reversed and leaves the horizontal motion unexplained
-        found[sign_findings] = ()
-        found[response_time_findings] = tuple(
-            finding for finding in found[response_time_findings] if finding.axis not in ("x", "y")
-        )
+    if found[
+        frame_findings
+    ]:  # a wrong frame makes signs look reversed, shifts responses and leaves the horizontal motion unexplained
+        found[sign_findings] = found[response_time_findings] = ()
         found[motion_findings] = tuple(
             finding
             for finding in found[motion_findings]

@@ -163,8 +163,10 @@ class MavlinkLink:
     def undone(self) -> str:
         """What the vehicle was asked to do and does not; see `links.Link`."""
         known = self._known
-        if self._declined or self._refused:
-            return self._declined or (self._refused or (0, ""))[1]
+        if self._declined:
+            return self._declined
+        if self._refused:
+            return self._refused[1]
         if self._steps:
             return f"{known.name} has not answered the request to {self._step_name(self._steps[0])}"
         if self._landing or self._engaged:
