@@ -300,5 +300,9 @@ def test_commands_of_another_sign_or_unit_are_the_cards_and_not_the_models(facto
 
 def test_errors_of_the_data_of_a_flight_are_told_first() -> None:
     wrong = Finding("axes_exchanged", "error", "x acts left", "none of it is the vehicle's", "exchange the columns")
+    flight = replace(flight_of(), findings=(wrong,))
 
-    assert validate(of(), [replace(flight_of(), findings=(wrong,))]).findings[0] == wrong
+    validation = validate(of(), [flight])
+
+    assert validation.findings[0] == replace(wrong, evidence=f"x acts left ({flight.path})")
+    assert validation.misread == validation.findings[:1]

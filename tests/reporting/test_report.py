@@ -586,6 +586,20 @@ def test_without_validation_flights_nothing_is_proven() -> None:
     assert {use.answer for use in verdict.uses} == {"unproven"}
 
 
+def test_a_flight_that_was_misread_neither_proves_a_model_nor_condemns_it() -> None:
+    wrong = Finding("card_differs", "error", "z moves too fast (f.csv)", "no judgement", "compare units", "z")
+    scores = [score(axis, 3.0 if axis == "z" else 0.01) for axis in AXES]
+
+    verdict = verdict_of(known_model(), scores, against_hold(), misread=[wrong])
+
+    assert [light.colour for light in verdict.lights] == ["green", "green", "open", "green"]
+    assert "misread" in verdict.whole
+    assert "z: compare units." in verdict.advice
+    steps = next_steps(case_of(known_model()), verdict)
+    assert [(step.what, step.command) for step in steps[:1]] == [("Compare units.", "")]
+    assert not any("keep that flight out" in step.what for step in steps)
+
+
 def test_the_light_is_unlit_where_there_is_no_model_and_red_where_it_diverged() -> None:
     model = known_model(("x",))
     model = replace(model, axes={**model.axes, "yaw": unknown_axis("diverged")})

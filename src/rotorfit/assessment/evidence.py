@@ -69,7 +69,7 @@ class Evidence:
     """A model with all the evidence for and against it.
 
     Attributes:
-        case: The model, with the findings of its validation, and its flights.
+        case: The model, with what its validation found about it, and its flights.
         coefficients: Rows of the table of coefficients.
         physics: Rows of the table of physical quantities.
         limits: What the model implies for the card's limits, one sentence each.
@@ -116,7 +116,8 @@ def evidence_of(cases: Sequence[Case]) -> tuple[Evidence, ...]:
 
 
 def _evidence_of(case: Case, with_training: bool) -> Evidence:
-    model = with_findings(case.model, (*case.model.findings, *case.validation.findings))
+    about_model = (each for each in case.validation.findings if each not in case.validation.misread)
+    model = with_findings(case.model, (*case.model.findings, *about_model))
     shown = case.flights or case.training
     tests = case.validation.residuals
     if not case.flights:

@@ -6,6 +6,7 @@ of the model: in a feedback loop, whose commands oppose the wind, 0.24 has been 
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,7 +36,7 @@ def findings_of_mismatch(model: Model, flights: Sequence[Flight]) -> Iterator[Fi
     """Errors of the data of flights, and axes that respond backwards or by several times what the model says."""
     for flight in flights:
         wrong = [finding for finding in flight.findings if finding.severity == "error"]
-        yield from wrong
+        yield from (replace(each, evidence=f"{each.evidence} ({flight.path})") for each in wrong)
         if not wrong:
             yield from _ratios(model, flight)
 
@@ -84,7 +85,7 @@ def _finding(axis: str, flight: Flight, ratio: float) -> Finding:
     return Finding(
         "card_differs",
         "error",
-        f"{flight.path}: {axis} moves {ratio:+.3g} times as fast as the model says of its commands",
+        f"{axis} moves {ratio:+.3g} times as fast as the model says of its commands ({flight.path})",
         f"the scores of {axis} do not judge the model: this flight was read with another meaning of its commands or "
         "poses than those of the fit, or is of another vehicle",
         f"give the {axis} channel of [command] the sign that it has in the card of the fit"

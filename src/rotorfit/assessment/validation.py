@@ -124,7 +124,11 @@ def validate(
         for finding in findings_of_residuals(axis, each, flight.path)
     ]
     found += findings_of_responses(responses)
-    found = [*findings_of_mismatch(model, flights), *sorted(found, key=lambda finding: finding.severity == "info")]
+    misread = tuple(findings_of_mismatch(model, flights))
+    touched = {finding.axis for finding in misread}
+    if touched:  # what the residuals of a misread flight say is no finding about the model
+        found = [finding for finding in found if not touched & {finding.axis, None}]
+    found = [*misread, *sorted(found, key=lambda finding: finding.severity == "info")]
     return Validation(
         flights=tuple(scores["model"]),
         baselines={name: tuple(scores[name]) for name in BASELINES},

@@ -394,6 +394,11 @@ class Validation:
     responses: tuple[Mapping[str, ResponseComparison], ...] = ()
     bands: tuple[Scores, ...] = ()
 
+    @property
+    def misread(self) -> tuple[Finding, ...]:
+        """Errors in the data of the flights, or in how the card reads them: the scores do not judge the model."""
+        return tuple(finding for finding in self.findings if finding.severity == "error")
+
     def __repr__(self) -> str:
         return text_table(*self._table())
 

@@ -73,10 +73,11 @@ def next_steps(case: Case, verdict: Verdict) -> tuple[Step, ...]:
 
 
 def _proof(case: Case, uses: Sequence[Use]) -> list[Step]:
-    """A flight for validation, for axes whose predictions are not proven."""
-    unproven = [use.axis for use in uses if use.answer == "unproven"]
+    """A flight for validation, for axes whose predictions are not proven, or what spoils those that there are."""
+    unproven = [use.axis for use in uses if use.answer == "unproven" and not use.remedy]
     short = [use.axis for use in uses if use.answer == "limited"]
-    steps = []
+    misread = dict.fromkeys((use.remedy, use.reason) for use in uses if use.remedy)
+    steps = [Step(sentences([remedy])[0], sentences([why])[0], "") for remedy, why in misread]
     if unproven:
         what = f"Fly {and_list(unproven)} once more, and keep that flight out of the fit."
         why = "Without a flight that was not fitted nothing is proven."

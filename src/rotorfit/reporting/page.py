@@ -54,7 +54,8 @@ def _roles(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]
 def _verdict(evidence: Evidence, tested: Sequence[FlightPanels]) -> Verdict:
     model, validation = evidence.case.model, evidence.case.validation
     fresh = [view for view in tested if not view.fitted]
-    return verdict_of(model, evidence.scores, validation.paired, validation.residuals, speeds_of(fresh))
+    speeds = speeds_of(fresh)
+    return verdict_of(model, evidence.scores, validation.paired, validation.residuals, speeds, validation.misread)
 
 
 def _origin(case: Case) -> str:

@@ -180,7 +180,8 @@ def _coefficients(page: Contents) -> dict[str, Any]:
 def _findings(page: Contents) -> dict[str, Any]:
     findings: list[tuple[str, Finding]] = []
     for name, case in zip(page.names, page.cases, strict=True):
-        findings += [(name, finding) for finding in told_together(by_gravity(case.model.findings))]
+        told = (*case.validation.misread, *by_gravity(case.model.findings))
+        findings += [(name, finding) for finding in told_together(told)]
     return {"findings": sorted(findings, key=lambda pair: ("error", "warning", "info").index(pair[1].severity))}
 
 

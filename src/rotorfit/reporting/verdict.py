@@ -39,6 +39,7 @@ class Use:
         position: RMSE of the position at the horizon [m or rad]; None if it was not scored.
         times: Ratio of the errors of holding the velocity to the model's, the smaller one of velocity and position.
         n: Number of predictions.
+        remedy: What to do first, if the flights cannot judge the model; otherwise empty.
     """
 
     axis: str
@@ -49,6 +50,7 @@ class Use:
     position: float | None = None
     times: float | None = None
     n: int = 0
+    remedy: str = ""
 
 
 def uses_of(
@@ -56,24 +58,27 @@ def uses_of(
     paired: Sequence[PairedTest],
     known: Sequence[str],
     horizons: Sequence[float] = HORIZONS,
+    misread: Sequence[Finding] = (),
 ) -> tuple[Use, ...]:
     """Answers for every axis at every horizon.
 
     `yes`: on flights that were not fitted and command the axis, the errors of velocity and position are both at most
     half of those of holding the velocity, and both differences are significant at 95 % in the paired test. `limited`:
     better, but by less, or not significantly. `no`: less than 1.1 times better, or significantly worse. `unproven`: no
-    score.
+    score, or one of a flight whose data cannot judge the model.
 
     Args:
         scores: As `scores_of` gives them.
         paired: Paired tests of the model against the baselines.
         known: The axes that have a model.
         horizons: Horizons of the answers [s].
+        misread: Errors in the data of these flights.
     """
     by_place = {(score.axis, f"{score.horizon:g}"): score for score in scores}
     against = next((test for test in paired if test.second == "hold"), None)
     out = []
     for axis in AXES:
+        wrong = next((finding for finding in misread if finding.axis in (axis, None)), None)
         for horizon in horizons:
             score = by_place.get((axis, f"{horizon:g}"))
             if axis not in known:
@@ -82,6 +87,8 @@ def uses_of(
                 out.append(Use(axis, horizon, "unproven", "no flight that was not fitted moves this axis"))
             elif score.velocity.get("model") is None:
                 out.append(Use(axis, horizon, "unproven", "no flight that was not fitted moves it for long enough"))
+            elif wrong:
+                out.append(Use(axis, horizon, "unproven", wrong.evidence, remedy=wrong.remedy))
             else:
                 out.append(_use(score, against))
     return tuple(out)
@@ -249,6 +256,7 @@ def verdict_of(
     paired: Sequence[PairedTest] = (),
     residuals: Sequence[Mapping[str, ResidualTests]] = (),
     speeds: Mapping[str, float] | None = None,
+    misread: Sequence[Finding] = (),
 ) -> Verdict:
     """Judges a model by its scores on validation flights, its statuses, its findings and the tests of its residuals.
 
@@ -262,9 +270,10 @@ def verdict_of(
         paired: Paired tests of the model against the baselines.
         residuals: Axis to its tests, one mapping for each validation flight.
         speeds: Axis to the speed up to which it was tested [m/s or rad/s].
+        misread: Errors in the data of the validation flights: what they touch is not proven, whatever the scores.
     """
     known = [axis for axis in AXES if model.axes[axis].predictor is not None]
-    uses = uses_of(scores, paired, known)
+    uses = uses_of(scores, paired, known, misread=misread)
     horizon = min({use.horizon for use in uses}, key=lambda h: abs(h - PLANNING))
     lights = tuple(
         _light(
@@ -296,7 +305,8 @@ def _light(
         colour = "red" if status == "diverged" else "grey"
         (reason,) = sentences([STATUS.get(status, "no numbers")])
         return Light(axis, colour, "no model", None, (), (Lamp("coefficients", colour, "unknown", reason),))
-    lamps = (_predictions(use), _coefficients(model, axis), _residuals(tests))
+    unjudged = Lamp("residuals", "grey", "not judged", "Nor are the predictions.")
+    lamps = (_predictions(use), _coefficients(model, axis), unjudged if use.remedy else _residuals(tests))
     colour = min((lamp.colour for lamp in lamps if lamp.colour != "grey"), key=GRAVITY.index)
     unit, factor = SPEED[axis]
     error = None if use.velocity is None else f"{figure(factor * use.velocity)} {unit}"
@@ -316,7 +326,7 @@ def _word(colour: str, furthest: float | None) -> str:
 def _predictions(use: Use) -> Lamp:
     words = {"yes": "proven", "limited": "partly", "unproven": "not proven", "no": "useless"}
     (text,) = sentences([use.reason or f"errors at most 1/{USEFUL:g} of holding the velocity, and that is no chance"])
-    return Lamp("predictions", COLOUR[use.answer], words[use.answer], text, PROOF.get(use.answer, ""))
+    return Lamp("predictions", COLOUR[use.answer], words[use.answer], text, use.remedy or PROOF.get(use.answer, ""))
 
 
 def _coefficients(model: Model, axis: str) -> Lamp:
@@ -500,14 +510,14 @@ def _whole(
     if all(light.colour == "grey" for light in lights):
         return "Nothing can be predicted."
     now = next(use for use in together if use.horizon == horizon)
+    lacking = [use for use in uses if use.horizon == horizon and use.answer == now.answer and use.axis in wanted]
+    named = and_list([use.axis for use in lacking])
     if now.answer == "missing":
-        lacking = and_list(
-            [u.axis for u in uses if u.horizon == horizon and u.answer == "missing" and u.axis in wanted]
-        )
-        return f"As a whole: no. There is no model of {lacking}, which can be commanded."
+        return f"As a whole: no. There is no model of {named}, which can be commanded."
+    if misread := and_list([use.axis for use in lacking if use.remedy]):
+        return f"As a whole: not proven. The flights were misread in what concerns {misread}: see the findings."
     if now.answer == "unproven":
-        lacking = and_list([u.axis for u in uses if u.horizon == horizon and u.answer == "unproven"])
-        return f"As a whole: not proven. No flight that was not fitted moves {lacking}, or not for long enough."
+        return f"As a whole: not proven. No flight that was not fitted moves {named}, or not for long enough."
     if forbidden := _because(lights, "red"):
         return f"As a whole: no, because of {forbidden}."
     doubted, furthest = _because(lights, "yellow"), reach(together)

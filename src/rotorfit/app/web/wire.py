@@ -150,7 +150,7 @@ def command_unit(card: Card, axis: str) -> str:
 def result_mapping(evidence: Evidence) -> dict[str, Any]:
     """The result of a fit as the page shows it."""
     model, validation, scores = evidence.case.model, evidence.case.validation, evidence.scores
-    verdict = verdict_of(model, scores, validation.paired, validation.residuals)
+    verdict = verdict_of(model, scores, validation.paired, validation.residuals, misread=validation.misread)
     return {
         "headline": verdict.headline,
         "whole": verdict.whole,
@@ -161,7 +161,7 @@ def result_mapping(evidence: Evidence) -> dict[str, Any]:
             {"axis": axis, "rows": [asdict(row) for row in rows]}
             for axis, rows in coefficient_table(evidence.coefficients)
         ],
-        "findings": [asdict(finding) for finding in told_together(model.findings)],
+        "findings": [asdict(finding) for finding in told_together((*validation.misread, *model.findings))],
         "pooled": pooled_rows(scores),
         "scores": score_rows(validation) if len(validation.flights) > 1 else [],
         "residuals": residual_rows([motion.path for motion in evidence.validation], validation.residuals),
