@@ -251,6 +251,47 @@ def test_a_draft_exchanges_and_turns_commands_as_the_motion_says(tmp_path: Path)
     np.testing.assert_allclose(flight.command[:, 0], np.interp(flight.command_time, T, COMMAND["x"]), atol=1e-9)
 
 
+def test_a_draft_reads_a_compass_as_clockwise_from_north(tmp_path: Path) -> None:
+    true = turning()
+    compass = (90 - np.degrees(true["yaw"])) % 360
+    columns = {"time": T, **{axis: true[axis] for axis in "xyz"}, "heading_deg": compass}
+    log = log_of(flight=columns | {f"cmd_{axis}": series for axis, series in COMMAND.items()})
+
+    card = loaded(draft_card(log), tmp_path)
+
+    assert (card.pose["yaw"].scale, card.pose["yaw"].offset, card.command_frame) == (-1, 90, "heading")
+    assert {one.scale for one in card.command.values()} == {1}
+    turned = np.unwrap(flight_from_log(log, card).yaw)
+    np.testing.assert_allclose(turned - turned[0], np.unwrap(true["yaw"])[: turned.size] - true["yaw"][0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "step"), [("ms", 1), ("us", 1000), ("ns", 1_000_000)])
+@pytest.mark.parametrize("since_1970", [False, True])
+def test_a_draft_of_a_log_at_a_kilohertz_finds_the_unit_of_its_clock(
+    unit: str, step: int, since_1970: bool, tmp_path: Path
+) -> None:
+    true, names = turning(), {f"cmd_{axis}": series for axis, series in COMMAND.items()}
+    fine = np.arange(0.0, T[-1], 0.001)
+    columns = {name: np.interp(fine, T, series) for name, series in (true | names).items()}
+    start = 1_700_000_000 if since_1970 else 5
+    log = log_of(flight=columns | {"time": (np.arange(fine.size) + 1000 * start) * step})
+
+    card = loaded(draft_card(log), tmp_path)
+
+    assert card.pose_time.unit == unit
+    assert flight_from_log(log, card).duration == pytest.approx(T[-1], abs=0.1)
+
+
+def test_colons_in_the_names_of_columns_are_no_tables(tmp_path: Path) -> None:
+    names = {"time": "log:time", **{axis: f"drone:{axis}" for axis in ("x", "y", "z", "yaw")}}
+    log = csv_log(**names, **{f"cmd_{axis}": f"cmd:{axis}" for axis in ("x", "y", "z", "yaw")})
+
+    card = loaded(draft_card(log), tmp_path)
+
+    assert card.command["x"].source == "cmd:x"
+    assert flight_from_log(log, card).duration == pytest.approx(29.98, abs=0.1)
+
+
 def test_a_draft_says_world_where_commands_do_not_turn_with_the_vehicle(tmp_path: Path) -> None:
     columns = {"time": T, **motion(world=True), **{f"cmd_{axis}": series for axis, series in COMMAND.items()}}
 

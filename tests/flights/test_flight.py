@@ -330,6 +330,18 @@ def test_a_pose_that_repeats_in_all_but_one_quantity_is_fresh() -> None:
 
 
 @pytest.mark.parametrize("what", ["command", "pose"])
+@pytest.mark.parametrize(("row", "stamp"), [(100, 3700.0), (0, 3600.0), (0, -1.7e9), (-1, 2e9)])
+def test_a_single_stray_stamp_costs_one_sample(what: str, row: int, stamp: float) -> None:
+    tables = {"command": commands(), "pose": poses()}
+    tables[what]["t"][row] = stamp
+
+    flight = flight_of(tables["command"], tables["pose"])
+
+    assert {code: count for code, count in counts(flight).items() if "stamps" in code} == {f"{what}_stamps_stray": 1}
+    assert flight.duration == pytest.approx(10.1, abs=0.2)
+
+
+@pytest.mark.parametrize("what", ["command", "pose"])
 def test_repeated_and_reversed_stamps_are_dropped_with_their_counts(what: str) -> None:
     tables = {"command": commands(), "pose": poses()}
     stamps = tables[what]["t"]
@@ -504,7 +516,7 @@ def without(table: dict, **changes: object) -> dict:
         ({name: np.full(200, np.nan) for name in commands()}, poses(), "no command is complete"),
         (without(commands(), t=commands()["t"][::-1]), poses(), "commands runs backwards"),
         (commands(), without(poses(), t=poses()["t"][::-1]), "poses runs backwards"),
-        (commands(), without(poses(), t=np.r_[900.0, poses()["t"][1:]]), "poses runs backwards"),
+        (commands(), without(poses(), t=np.r_[900.0, 900.01, poses()["t"][2:]]), "poses runs backwards"),
         (without(commands(), t=np.zeros(200)), poses(), "stands still"),
         (commands(1.0), poses(), "only 1."),
         (commands(), poses(1.5), "only 0."),

@@ -227,6 +227,49 @@ def test_commands_of_another_table_are_held_and_poses_drawn() -> None:
     assert counts(flight).keys() >= {"joined_command", "joined_pose"}
 
 
+@pytest.mark.parametrize("parts", [slice(0, 4), slice(0, 1)])
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_a_quaternion_of_another_table_that_is_none_costs_its_neighbourhood_only(parts: slice, value: float) -> None:
+    half = 0.15 * T
+    q = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+    q[parts, 150] = value
+    attitude = {"t": T, **dict(zip(("q.w", "q.x", "q.y", "q.z"), q, strict=True))}
+    pose = {"yaw": None, "quaternion": "att:q"}
+    raw = {axis: f"pose:{axis}" for axis in ("x", "y", "z")} | {"time": "pose:t", "quaternion": pose["quaternion"]}
+    card = card_from_mapping({"command": {"time": "cmd:t", "x": "cmd:x", "z": "cmd:z"}, "pose": raw}, "test")
+
+    flight = flight_from_log(log_of(att=attitude), card)
+
+    assert flight.duration > 39.0
+    wrong = value == 0.0 and parts == slice(0, 1)  # w = 0 is half a turn: a quaternion like any other
+    away = np.abs(flight.pose_time - T[150]) > (0.3 if wrong else 0.0)
+    np.testing.assert_allclose(np.cos(flight.yaw[away]), np.cos(0.3 * flight.pose_time[away]), atol=2e-3)
+
+
+def test_blank_cells_of_a_file_of_rows_are_no_values_of_a_state() -> None:
+    rows = np.sort(np.concatenate([T, T + 0.03, T[::5] + 0.06]))
+    at = {"cmd": np.isin(rows, T), "pose": np.isin(rows, T + 0.03), "state": np.isin(rows, T[::5] + 0.06)}
+    series = {"cx": ("cmd", np.sin(rows)), "cz": ("cmd", np.cos(rows)), "x": ("pose", np.sin(rows))}
+    series |= {"y": ("pose", np.cos(rows)), "z": ("pose", 1 + 0.9 * np.sin(rows - 0.2)), "yaw": ("pose", 0.1 * rows)}
+    series |= {"armed": ("state", 1.0 + 0 * rows), "resets": ("state", 0 * rows), "goal": ("state", 1.5 + 0 * rows)}
+    columns = {name: np.where(at[what], values, np.nan) for name, (what, values) in series.items()}
+    log = Log(Path("flight.csv"), "csv", "0" * 64, {"flight": Table("flight", {"t": rows, **columns})}, {})
+    raw = {
+        "command": {"time": "t", "x": "cx", "z": "cz"},
+        "pose": {"time": "t", "x": "x", "y": "y", "z": "z", "yaw": "yaw", "resets": "resets"},
+        "window": [{"when": "armed"}],
+        "reference": {"x": "goal"},
+    }
+
+    flight = flight_from_log(log, card_from_mapping(raw, "test"))
+
+    assert len(flight.segments) == 1
+    assert flight.duration > 39.0
+    assert "pose_resets" not in counts(flight)
+    assert flight.reference is not None
+    np.testing.assert_array_equal(flight.reference[:, 0], 1.5)
+
+
 def test_messages_of_one_step_belong_together_though_one_is_written_after_the_other() -> None:
     east = {"t": T + 40e-6, "v": np.cos(T)}
 

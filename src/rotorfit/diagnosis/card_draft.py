@@ -3,6 +3,7 @@
 The names in a log suggest its commands and pose; the motion corrects axes, signs, frames and units.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -210,7 +211,10 @@ def _line(key: str, channel: Channel | None, said: str = "") -> str:
     if channel is None:
         return f'# {key} = "TABLE:COLUMN"  # EDIT: nothing was recognised'
     parts = [f"from = {_quoted(channel.source)}"]
-    parts += [f"scale = {channel.scale:g}"] * (channel.scale != 1) + [f'unit = "{channel.unit}"'] * bool(channel.unit)
+    parts += [f"scale = {channel.scale:g}"] * (channel.scale != 1)
+    parts += [f"offset = {channel.offset:g}"] * (channel.offset != 0) + [f'unit = "{channel.unit}"'] * bool(
+        channel.unit
+    )
     remarks = ["unit guessed"] * bool(channel.unit) + [said] * bool(said)
     value = f"{{ {', '.join(parts)} }}" if len(parts) > 1 else _quoted(channel.source)
     return f"{key} = {value}" + (f"  # {'; '.join(remarks)}" if remarks else "")
@@ -408,7 +412,11 @@ def _readings(found: DraftContents) -> Iterator[DraftContents]:
         yield _read(found, f"y turned, for the pose is mirrored {asks}", y=_turned(pose["y"]))
         yield _read(found, f"x and y exchanged, for the pose is mirrored {asks}", y=pose["x"], x=pose["y"])
     if "yaw" in pose:
-        yield _read(found, f"yaw grows clockwise {asks}", yaw=_turned(pose["yaw"]))
+        turned = _turned(pose["yaw"])
+        yield _read(found, f"yaw grows clockwise {asks}", yaw=turned)
+        quarter = 90.0 if turned.unit == "deg" else round(math.pi / 2, 6)
+        from_north = replace(turned, offset=turned.offset + quarter)
+        yield _read(found, f"yaw grows clockwise from north, where y points {asks}", yaw=from_north)
         if pose["yaw"].unit is None:
             yield _read(found, f"yaw is in degrees {asks}", yaw=replace(pose["yaw"], unit="deg"))
 

@@ -47,8 +47,12 @@ def card_for(log: Log, card: Card) -> Card:
     """
     log_tables = (*log.tables, *log.skipped)
 
+    only = next(iter(log.tables.values())) if len(log.tables) == 1 else None
+
     def bare(channel: Channel) -> Channel:
         table, name = split_source(channel.source)
+        if table and only and channel.source in only.columns:  # the column's own name has a colon
+            return replace(channel, source=f"{only.name}:{channel.source}")
         there = [one for one in log_tables if fnmatchcase(one, table)] if "*" in table else []
         return replace(channel, source=f"{there[0]}:{name}", others=()) if len(there) == 1 else channel
 
@@ -275,6 +279,11 @@ _CLOCKS = (
     "clock",
 )
 
+_EPOCH = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+
+SINCE_1970 = 0.9e9, 4.1e9
+"""Seconds from 1970 to the years 1998 and 2099."""
+
 _FEW_ROWS = 8  # quaternions, vectors, sticks
 
 _SPEED_SUFFIX = {"m_s": "m/s", "mps": "m/s", "cm_s": "cm/s", "rad_s": "rad/s", "deg_s": "deg/s", "dps": "deg/s"}
@@ -301,9 +310,21 @@ def clock_of(log: Log, table: Table, count: int) -> Channel | None:
     time = Channel(source_of(log, table, names[0]), unit="us" if of_ulog else unit_of_name(names[0]))
     if time.unit is not None or plain_name(names[0]) in _CLOCKS[:2]:
         return time
-    steps = np.diff(table.columns[names[0]].astype(np.float64).ravel())
-    step = float(np.median(steps[steps > 0]))  # between 1 kHz and 1 Hz in whatever unit
-    return replace(time, unit="ns" if step > 1e6 else "us" if step > 1e3 else "ms" if step > 1.5 else None)
+    stamps = table.columns[names[0]].astype(np.float64).ravel()
+    return replace(time, unit=_since_1970(stamps) or _by_step(stamps))
+
+
+def _since_1970(stamps: Array) -> str | None:
+    """The unit in which stamps count from 1970; None if in none but seconds."""
+    largest = float(np.max(np.abs(stamps), initial=0.0, where=np.isfinite(stamps)))
+    return next((unit for unit, size in _EPOCH.items() if SINCE_1970[0] * size < largest < SINCE_1970[1] * size), None)
+
+
+def _by_step(stamps: Array) -> str | None:
+    """The unit that gives stamps a rate between 2.5 kHz and 2.5 Hz, in ms between 1 kHz and 1 Hz; None for seconds."""
+    steps = np.diff(stamps)
+    step = float(np.median(steps[steps > 0]))
+    return "ns" if step >= 4e5 else "us" if step >= 400 else "ms" if step >= 0.999 else None
 
 
 def clocks_of(table: Table, count: int) -> list[str]:

@@ -6,7 +6,8 @@ many changes with the same ratio. The original commands then follow exactly,
 
     sent_k = (logged_k - a logged_(k-1)) / (1 - a)
 
-unless the sender smoothed them itself and the vehicle received the logged values. The motion decides between the two.
+unless the sender smoothed them itself and the vehicle received the logged values. Motion that follows the original
+commands decides; motion that follows the logged ones does not, because a vehicle with a lag does so in either case.
 A smoothed command that is never held lacks this shape and is not recognised.
 """
 
@@ -92,8 +93,8 @@ def without_low_pass(commands: Stream, axes: tuple[str, ...], poses: Stream, wor
         world: Whether commands are along the world axes.
 
     Returns:
-        The commands; where they have the shape of smoothed ones, with a note `commands_unfiltered` (restored),
-        `commands_filtered` (the vehicle received them smoothed) or `commands_low_pass` (undecided).
+        The commands; where they have the shape of smoothed ones, with a note `commands_unfiltered` (restored) or
+        `commands_low_pass` (as logged: the sender may have smoothed them, or the logger).
     """
     shares = {axis: share for axis in axes if (share := kept_share(commands.values[:, AXES.index(axis)])) is not None}
     if not shares:
@@ -110,10 +111,10 @@ def without_low_pass(commands: Stream, axes: tuple[str, ...], poses: Stream, wor
     if better > DECIDES:
         told = f"{shape}; unfiltered, they explain the motion better by {better:.0f} log units: it was undone"
         return replace(sent, notes=(*commands.notes, Note("commands_unfiltered", told, len(commands.stamps))))
-    if better < -DECIDES:
-        told = f"{shape}; as logged, they explain the motion better by {-better:.0f} log units: the sender smooths them"
-        return replace(commands, notes=(*commands.notes, Note("commands_filtered", told, len(commands.stamps))))
-    told = f"{shape}; the motion does not show whether the vehicle received them so ({better:+.1f} log units)"
+    why = f"unfiltered, {better:+.1f} log units"
+    if better < -DECIDES:  # any vehicle with a lag seems to: its answers are smooth, whatever it received
+        why = f"as logged, they explain the motion better by {-better:.0f} log units, as of a slow vehicle, too"
+    told = f"{shape}; the motion does not show whether the vehicle received them so ({why})"
     return replace(commands, notes=(*commands.notes, Note("commands_low_pass", told, len(commands.stamps))))
 
 

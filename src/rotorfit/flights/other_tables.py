@@ -3,7 +3,7 @@
 The latter are brought onto the stamps of the stream: held, for commands, or interpolated between two samples.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -69,8 +69,7 @@ def rows_of_others(log: Log, card: Card) -> Mask:
     """
     own = sample_rows(log, card.command_time, card.command)
     table, clock = table_of(log, str(card.command_time.source))
-    kind = FORMATS.get(format_of(log, table.name))
-    if kind is None or not kind.rows:
+    if not _of_rows(log, card.command_time):
         return np.zeros(len(own), dtype=np.bool_)
     taken = {split_source(channel.source)[1] for channel in card.command.values()} | {clock}
     others = [values.ravel() for name, values in table.columns.items() if name not in taken and is_series(values)]
@@ -109,12 +108,23 @@ def sampled(log: Log, time: Channel, channel: Channel) -> tuple[Stamps, Array]:
     Raises:
         CardError: The column is missing, has no clock, or their lengths differ by more than one.
     """
-    clock = own_clock(log, time, channel)
-    values = column(log, channel, len(clock))
-    if abs(len(clock) - len(values)) > 1:
-        raise CardError(f"{log.path}: {channel.source} has {len(values)} values and its clock {len(clock)}")
-    shared = min(len(clock), len(values))
-    return sound_samples(clock[:shared], values[:shared])
+    clock, (values,) = whole_rows(log, time, [channel])
+    return sound_samples(clock, values)
+
+
+def whole_rows(log: Log, time: Channel, channels: Sequence[Channel]) -> tuple[Stamps, list[Array]]:
+    """Stamps and values of columns in another table, row by row as recorded, each of shape (N,).
+
+    Raises:
+        CardError: A column is missing, has no clock, or their lengths differ by more than one.
+    """
+    clock = own_clock(log, time, channels[0])
+    columns = [column(log, channel, len(clock)) for channel in channels]
+    for channel, values in zip(channels, columns, strict=True):
+        if abs(len(clock) - len(values)) > 1:
+            raise CardError(f"{log.path}: {channel.source} has {len(values)} values and its clock {len(clock)}")
+    shared = min(len(clock), *(len(values) for values in columns))
+    return clock[:shared], [values[:shared] for values in columns]
 
 
 def sound_samples(clock: Stamps, values: Array) -> tuple[Stamps, Array]:
@@ -152,9 +162,10 @@ def interpolate(clock: Stamps, values: Array, stamps: Stamps) -> Array:
 
 
 def state_samples(log: Log, card: Card, channel: Channel, what: str) -> tuple[Stamps, Array]:
-    """Stamps and values of a state in any table, each of shape (N,), with NaN as recorded.
+    """Stamps and values of a state in any table, each of shape (N,), with NaN as recorded but without blank cells.
 
     Its clock is that of the commands or of the poses where it is in their table with as many values, else its own.
+    In a file of rows a state is as it was until the next row that holds it.
 
     Args:
         log: As recorded.
@@ -172,7 +183,14 @@ def state_samples(log: Log, card: Card, channel: Channel, what: str) -> tuple[St
     if clock is None:
         raise CardError(f"{log.path}: no time stamps for {what} {channel.source} ({len(values)} values)")
     shared = min(len(clock), len(values))
-    return clock[:shared], values[:shared]
+    told = np.isfinite(values[:shared]) | (not _of_rows(log, channel))
+    return clock[:shared][told], values[:shared][told]
+
+
+def _of_rows(log: Log, channel: Channel) -> bool:
+    """Whether a channel is in a file of rows, whose cells may be blank."""
+    kind = FORMATS.get(format_of(log, table_of(log, str(channel.source))[0].name))
+    return kind is not None and kind.rows
 
 
 def _limit(clock: Stamps) -> float:

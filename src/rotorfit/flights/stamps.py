@@ -12,7 +12,7 @@ from rotorfit.core.card import Channel
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import Array, Mask
 from rotorfit.core.log import Log
-from rotorfit.flights.columns import raw_column, table_of
+from rotorfit.flights.columns import SINCE_1970, raw_column, table_of
 
 Stamps = npt.NDArray[np.int64]
 """Stamps of a stream, shape (N,) [ns]."""
@@ -32,10 +32,10 @@ SPIN = 20.0
 COARSE = 4.0
 """A column counts as coarsely rounded where its median change is below this multiple of its smallest changes."""
 
-_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+AHEAD, APART = 10**9, 3600 * 10**9
+"""Steps of the clock beyond which a single stamp is stray [ns]: there and back, and at either end."""
 
-SINCE_1970 = 0.9e9, 4.1e9
-"""Seconds from 1970 to the years 1998 and 2099."""
+_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
 @dataclass(frozen=True)
@@ -138,6 +138,22 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
         units = np.floor(values)  # split off the fraction, so that the product does not round a second time
         stamps = units.astype(np.int64) * factor + np.round((values - units) * factor).astype(np.int64)
     return np.where(in_range, stamps, MISSING_STAMP)
+
+
+def stray(stamps: Stamps) -> Mask:
+    """Which single stamps belong to no clock, shape (N,): those after them would count as too early, or days as flown.
+
+    One is ahead of both neighbours, which follow each other; or it is the first or last of all, far from its neighbour,
+    as the zero of a header that was not filled in yet is from the epoch.
+    """
+    out = np.zeros(len(stamps), dtype=np.bool_)
+    if len(stamps) < 3:
+        return out
+    steps = np.diff(stamps)
+    out[1:-1] = (steps[:-1] > AHEAD) & (steps[1:] < -AHEAD) & (stamps[2:] > stamps[:-2])
+    out[0] = steps[0] > APART or (steps[0] < -AHEAD and steps[1] > 0)
+    out[-1] = steps[-1] > APART
+    return out
 
 
 def increasing(stamps: Stamps) -> Mask:

@@ -20,7 +20,9 @@ from rotorfit.flights.other_tables import (
     rows_of_others,
     sample_rows,
     sampled,
+    sound_samples,
     state_samples,
+    whole_rows,
 )
 from rotorfit.flights.stamps import (
     GAP_PERIODS,
@@ -35,6 +37,7 @@ from rotorfit.flights.stamps import (
     increasing,
     median_period,
     stamps_of,
+    stray,
 )
 
 SLOWEST_COMMANDS = 5.0
@@ -169,10 +172,10 @@ def read_series(
     if what == "command":
         series |= {axis: held_beside(log, time, channel, stamps) for axis, channel in others.items()}
     else:
-        turned = {name[1]: sampled(log, time, channel) for name, channel in others.items() if name.startswith("q")}
         found = {axis: sampled(log, time, channel) for axis, channel in others.items() if axis in AXES}
-        if turned:
-            found["yaw"] = turned["w"][0], _heading(*(turned[part][1] for part in "wxyz"))
+        if "qw" in others:
+            clock, parts = whole_rows(log, time, [others[f"q{part}"] for part in "wxyz"])
+            found["yaw"] = sound_samples(clock, _heading(*parts))
         if "yaw" in found:
             found["yaw"] = found["yaw"][0], np.unwrap(found["yaw"][1])
         series |= {axis: interpolate(clock, values, stamps) for axis, (clock, values) in found.items()}
@@ -273,11 +276,14 @@ def numbers(stream: Stream, log: Log) -> Stream:
 
 
 def in_order(stream: Stream, log: Log) -> Stream:
-    """Drops samples that are not later than all before them.
+    """Drops samples with a stray stamp, and those that are not later than all before them.
 
     Raises:
         FlightError: The clock runs backwards or stands still.
     """
+    stream = keep_samples(
+        stream, ~stray(stream.stamps), f"{stream.what}_stamps_stray", "are stamped far from their neighbours: dropped"
+    )
     steps = np.diff(stream.stamps)
     keep = increasing(stream.stamps)
     back = np.zeros(len(keep), dtype=np.bool_)
