@@ -25,12 +25,10 @@ from rotorfit.core.model import NORMAL
 from rotorfit.core.tracked import RATIOS, Cause
 from rotorfit.tracking.changes import Contrast
 from rotorfit.tracking.scores import Scores
+from rotorfit.tracking.shift import CURVED
 
 PRICE = float(np.log(60.0))
 """Penalty for each parameter of a cause: the logarithm of the number of independent samples in about two seconds."""
-
-CURVED = 0.1
-"""Error of the first-order shift over the square of the shift, both in units of `scores.EXPECTED`."""
 
 WORDS: Mapping[Cause, str] = {
     "payload": "a payload was taken up or dropped, or thrust was lost evenly: weight against thrust has changed",
@@ -156,18 +154,20 @@ def _fitted(basis: Array, shift: Array, precision: Array) -> tuple[Array, Array]
 
 def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -> dict[str, tuple[float, float]]:
     """95 % intervals of what changed, in natural units."""
-    out = {}
-    for name, value, wide, size in zip(names, moved, error, scale, strict=True):
-        if wide == 0.0:
-            continue
-        low, high = (value - NORMAL * wide) * size, (value + NORMAL * wide) * size
-        kind = name.split(".")[1]
-        if kind == "input":  # the motion is linear in the gain, not in its logarithm
-            low, high = 1 + low, 1 + high
-        elif kind in RATIOS:
-            low, high = float(np.exp(low)), float(np.exp(high))
-        out[name] = (float(low), float(high))
-    return out
+    return {
+        name: natural(name, ((value - NORMAL * wide) * size, (value + NORMAL * wide) * size))
+        for name, value, wide, size in zip(names, moved, error, scale, strict=True)
+        if wide > 0.0
+    }
+
+
+def natural(name: str, shift: tuple[float, float]) -> tuple[float, float]:
+    """An interval of a shift in natural units: the ratio of new to old, or the difference of a delay or trim."""
+    low, high = shift
+    kind = name.split(".")[1]
+    if kind == "input":  # the motion is linear in the gain, not in its logarithm
+        return float(1 + low), float(1 + high)
+    return (float(np.exp(low)), float(np.exp(high))) if kind in RATIOS else (float(low), float(high))
 
 
 def _why(cause: Cause, second: tuple[float, Cause] | None) -> str:

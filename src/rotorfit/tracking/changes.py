@@ -113,6 +113,13 @@ def contrast(scores: Scores, since: float) -> Contrast | None:
     return _along(scores, compared[0], np.eye(len(scores.names))) if compared else None
 
 
+def variance_along(scores: Scores, since: float, way: Array) -> float | None:
+    """Variance of a window's scores along a direction, shape (P,), over that of white innovations; None if unknown."""
+    compared = _compared(scores, [since])
+    found = _along(scores, compared[0], way[:, None]) if compared else None
+    return float(way @ compared[0].M @ way) / float(found.precision.max()) if found else None
+
+
 @dataclass(frozen=True)
 class _Compared:
     """A window against the rest, under one strength of gusts in the window.

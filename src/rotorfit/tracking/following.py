@@ -26,7 +26,7 @@ from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.zero_command import late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
-from rotorfit.tracking.causes import Diagnosis, diagnosis
+from rotorfit.tracking.causes import Diagnosis, diagnosis, natural
 from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
     LEAST_WINDOW,
@@ -71,6 +71,7 @@ from rotorfit.tracking.refits import (
 )
 from rotorfit.tracking.regimes import Bounds, learnt_from, regimes_of
 from rotorfit.tracking.scores import CHUNK, GUST_POWERS, WINDOWS, Scores
+from rotorfit.tracking.shift import shift_interval
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
@@ -90,6 +91,9 @@ RESTLESS = 0.97
 
 PUSHES = ("payload", "thrust")
 """Causes that push by themselves."""
+
+SHARED_SHIFTS = ("delay", "limits")
+"""Causes that shift the coefficients that they change by the same amount."""
 
 WORTH_SAYING = 0.01
 """Least share of the evidence that is told."""
@@ -314,7 +318,7 @@ class Following:
             axes=tuple(axis for axis in AXES if axis in named.axes or axis in heavier),
             cause=named.cause,
             since=since,
-            change=_sizes(named, scored, since) if raised else {},
+            change=_sizes(named, scored, since, best.since) if raised else {},
             confidence=named.confidence,
             p_value=p_value,
             why=f"{named.why}; {HEAVIER}" if heavier else named.why,
@@ -517,13 +521,17 @@ def _diagnosed(
 
 
 def _sizes(
-    named: Diagnosis, scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float]
+    named: Diagnosis, scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float], window: float
 ) -> Mapping[str, tuple[float, float]]:
-    """The intervals of a change; a push has that of its first acceleration."""
-    if named.cause not in PUSHES:
-        return named.change
+    """The intervals of a change for any instant of `since`; a push has that of its first acceleration."""
     axes = {name: next(scores for names, scores in scored.items() if name in names) for name in named.change}
-    return {name: push_interval(scores, since) for name, scores in axes.items()}
+    if named.cause in PUSHES:
+        return {name: push_interval(scores, since) for name, scores in axes.items()}
+    shift = shift_interval(scored.values(), named.change, since, window) if named.cause in SHARED_SHIFTS else None
+    if shift is None:
+        return named.change
+    size = {name: float(scores.scale[scores.names.index(name)]) for name, scores in axes.items()}
+    return {name: natural(name, (shift[0] * size[name], shift[1] * size[name])) for name in axes}
 
 
 def _seen_in_z_or_yaw(looked: Mapping[tuple[str, ...], Sequence[Contrast]], first: Contrast) -> bool:

@@ -15,6 +15,8 @@ Biometrika 62 (1975), pp. 407-416, applied to a linear regression with a proper 
 """
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from rotorfit.core.frames import Array
 from rotorfit.tracking.scores import LASTS, Scores
@@ -31,6 +33,9 @@ where a payload stands out a hundredfold, an autopilot that is not quite as assu
 
 FLAT = 1e-9
 """Ridge of the parameters with a flat prior, as a share of the largest: it decides only what the rows leave open."""
+
+ENDS = 0.025, 0.975
+"""Quantiles at the ends of an interval."""
 
 
 def changed_when(scores: Scores, low: float) -> tuple[float, tuple[float, float]]:
@@ -100,6 +105,42 @@ def log_posterior(products: Array, known: int) -> tuple[Array, Array]:
     solution = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
     squares = products[:, 0, 0] - (right * solution).sum(axis=1)
     return np.asarray(-0.5 * squares - 0.5 * np.linalg.slogdet(normal)[1]), np.asarray(solution)
+
+
+def instants_of(scores: Scores, since: tuple[float, float]) -> Array:
+    """Instants within an interval at which a change may have begun, shape (I,) [s]."""
+    end = min(since[1], float(scores.time[-1]) - SPACING)
+    return np.arange(min(since[0], end), end + 0.5 * SPACING, SPACING)
+
+
+def unexplained(scores: Scores, shapes: Array) -> tuple[Array, Array]:
+    """Inner products of shapes with the innovations, and with themselves, less what X explains.
+
+    Args:
+        scores: Those of one likelihood, of N rows.
+        shapes: Shape (T, N).
+
+    Returns:
+        Two arrays of shape (T,).
+    """
+    normal, right = scores.products[1:, 1:], scores.products[1:, 0]
+    ridge = FLAT * float(normal.diagonal().max()) + np.finfo(float).tiny
+    across = shapes @ scores.rows
+    explained = np.linalg.solve(normal + ridge * np.eye(len(normal)), across[:, 1:].T)
+    power = (shapes**2).sum(axis=1) - (across[:, 1:].T * explained).sum(axis=0)
+    return across[:, 0] - right @ explained, np.maximum(power, 0.0)
+
+
+def mixture_interval(log: Array, mean: Array, error: Array) -> tuple[float, float]:
+    """The 95 % interval of a mixture of normal distributions with some log-weights, all of one shape."""
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    least, most = float((mean - 6 * error).min()), float((mean + 6 * error).max())
+    low, high = (
+        float(brentq(lambda a, end=end: float((weight * ndtr((a - mean) / error)).sum()) - end, least, most))
+        for end in ENDS
+    )
+    return low, high
 
 
 def mean_square(scores: Scores, at: int, shifts: Array, solution: Array) -> float:

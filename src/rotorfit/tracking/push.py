@@ -19,11 +19,18 @@ Amer. Statist. Assoc. 90 (1995), pp. 773-795.
 """
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import logsumexp, ndtr
+from scipy.special import logsumexp
 
 from rotorfit.core.frames import Array
-from rotorfit.tracking.instant import FLAT, SPACING, log_posterior, mean_square, now_of, products_of
+from rotorfit.tracking.instant import (
+    instants_of,
+    log_posterior,
+    mean_square,
+    mixture_interval,
+    now_of,
+    products_of,
+    unexplained,
+)
 from rotorfit.tracking.scores import EXPECTED, Scores
 
 LEARNS = np.geomspace(0.05, 4.0, 20)
@@ -39,9 +46,6 @@ SHAPE = 0.2
 BENDS = 0.5
 """Standard deviation of log T within one push: an autopilot with an integrator learns too much before it has learnt."""
 
-ENDS = 0.025, 0.975
-"""Quantiles at the ends of an interval."""
-
 
 def push_interval(scores: Scores, since: tuple[float, float]) -> tuple[float, float]:
     """The 95 % interval of the first acceleration of a push [m/s^2, rad/s^2].
@@ -50,8 +54,8 @@ def push_interval(scores: Scores, since: tuple[float, float]) -> tuple[float, fl
         scores: Those of z or of yaw.
         since: The interval of its instant [s].
     """
-    now, instants = now_of(scores), _instants(scores, since)
-    product, power = np.transpose([_told(now, now.pushed(instant, LEARNS)) for instant in instants], (1, 0, 2))
+    now, instants = now_of(scores), instants_of(scores, since)
+    product, power = np.transpose([unexplained(now, now.pushed(instant, LEARNS)) for instant in instants], (1, 0, 2))
     noise = 1.0
     for _ in range(2):
         precision = power / noise + LARGE**-2
@@ -59,8 +63,8 @@ def push_interval(scores: Scores, since: tuple[float, float]) -> tuple[float, fl
         log = 0.5 * mean**2 * precision - 0.5 * np.log(precision)
         i, k = np.unravel_index(int(np.argmax(log)), log.shape)
         noise = _mean_square(now, instants[i], mean[i, k] * now.pushed(instants[i], LEARNS[[k]])[0])
-    weight = np.exp(log - log.max())
-    return _quantiles(weight / weight.sum(), mean, np.sqrt(1 / precision + (SHAPE * mean) ** 2))
+    low, high = mixture_interval(log, mean, np.sqrt(1 / precision + (SHAPE * mean) ** 2))
+    return EXPECTED["trim"] * low, EXPECTED["trim"] * high
 
 
 def odds_of_a_push(scores: Scores, since: tuple[float, float]) -> float:
@@ -73,7 +77,7 @@ def odds_of_a_push(scores: Scores, since: tuple[float, float]) -> float:
         scores: Those of z or of yaw.
         since: The interval of the instant [s].
     """
-    instants, known = _instants(scores, since), scores.rows.shape[1] - 1
+    instants, known = instants_of(scores, since), scores.rows.shape[1] - 1
     first = [int(at) for at in np.searchsorted(scores.time, instants)]
     shifts = dict.fromkeys(first)
     of_shifts = np.array([products_of(scores, at, scores.tested[at:]) for at in shifts])
@@ -108,33 +112,7 @@ def _mean_evidence(products: Array, known: int) -> float:
     return float(logsumexp(log)) - float(np.log(log.size))
 
 
-def _instants(scores: Scores, since: tuple[float, float]) -> Array:
-    """Instants within an interval at which a change may have begun, shape (I,) [s]."""
-    end = min(since[1], float(scores.time[-1]) - SPACING)
-    return np.arange(min(since[0], end), end + 0.5 * SPACING, SPACING)
-
-
-def _told(scores: Scores, shapes: Array) -> tuple[Array, Array]:
-    """Inner products of pushes with the innovations, and with themselves, less what X explains, shape (T,)."""
-    normal, right = scores.products[1:, 1:], scores.products[1:, 0]
-    ridge = FLAT * float(normal.diagonal().max()) + np.finfo(float).tiny
-    across = shapes @ scores.rows
-    explained = np.linalg.solve(normal + ridge * np.eye(len(normal)), across[:, 1:].T)
-    power = (shapes**2).sum(axis=1) - (across[:, 1:].T * explained).sum(axis=0)
-    return across[:, 0] - right @ explained, np.maximum(power, 0.0)
-
-
 def _mean_square(scores: Scores, begun: float, push: Array) -> float:
     """Mean square of the innovations from an instant on, less a push then; at least 1, and that before the instant."""
     parts = np.split(scores.innovation - push, [int(np.searchsorted(scores.time, begun))])
     return max(1.0, *(float(np.mean(part**2)) for part in parts if part.size > 1))
-
-
-def _quantiles(weight: Array, mean: Array, error: Array) -> tuple[float, float]:
-    """The 95 % interval of a mixture of normal distributions, in natural units."""
-    least, most = float((mean - 6 * error).min()), float((mean + 6 * error).max())
-    low, high = (
-        float(brentq(lambda a, end=end: float((weight * ndtr((a - mean) / error)).sum()) - end, least, most))
-        for end in ENDS
-    )
-    return EXPECTED["trim"] * low, EXPECTED["trim"] * high

@@ -1,0 +1,59 @@
+"""The size of a shift that coefficients share: its interval holds it, whenever in `since` it began."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorfit.tracking.changes import contrast
+from rotorfit.tracking.refits import refitted
+from rotorfit.tracking.scores import Scores, scores_of
+from rotorfit.tracking.shift import shift_interval
+from tracked_flights import LAW, known_flight
+
+pytestmark = pytest.mark.flights
+
+FLIGHTS = 40
+SHARED = ("z.delay", "yaw.delay")
+
+
+@pytest.fixture(scope="module")
+def both() -> list[Scores]:
+    """Those of z and of yaw, 30 s."""
+    found = [refitted(known_flight(), (axis,), LAW, 30.0) for axis in ("z", "yaw")]
+    return scores_of([(list(one.estimates.items()), {}) for one in found])
+
+
+def shifted(both: list[Scores], size: float, begun: float, seed: int) -> list[Scores]:
+    """White innovations, and both delays shifted by as much from an instant on [s]."""
+    rng, out = np.random.default_rng(seed), []
+    for scores in both:
+        way = np.isin(scores.names, SHARED).astype(float)
+        answer = np.where(scores.time >= begun, scores.tested @ way, 0.0)
+        out.append(replace(scores, innovation=rng.standard_normal(scores.time.size) + size * answer))
+    return out
+
+
+@pytest.mark.parametrize("size", [-1.0, 0.3, 1.0])
+def test_the_interval_holds_a_shift_that_began_later_than_the_window(both: list[Scores], size: float) -> None:
+    begun, found, diluted = float(both[0].time[-1]) - 2.0, [], []
+    for seed in range(FLIGHTS):
+        scores = shifted(both, size, begun, seed)
+        window = begun - 1.0
+        found.append(shift_interval(scores, SHARED, (window, begun + 0.5), window))
+        alone = contrast(scores[0], window)
+        diluted.append(alone.shift[scores[0].names.index("z.delay")] if alone else np.nan)
+
+    held = [low <= size <= high for low, high in (each for each in found if each)]
+    assert len(held) == FLIGHTS
+    assert sum(held) >= 0.9 * FLIGHTS
+    if abs(size) == 1.0:
+        assert np.median([sum(each) / 2 for each in found if each]) == pytest.approx(size, abs=0.06)
+        assert abs(np.median(diluted)) < 0.9
+
+
+def test_where_no_window_shows_the_coefficients_there_is_no_interval(both: list[Scores]) -> None:
+    now = float(both[0].time[-1])
+
+    assert shift_interval(both, ("x.delay",), (now - 2.0, now), now - 2.0) is None
+    assert shift_interval(both, SHARED, (now - 0.1, now), now - 1e-3) is None
