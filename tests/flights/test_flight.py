@@ -323,6 +323,15 @@ def test_stale_poses_are_dropped_and_the_first_of_a_run_stays() -> None:
     np.testing.assert_allclose(np.diff(flight.pose_time), 0.03, atol=1e-9)
 
 
+def test_a_pose_in_centimetres_repeats_genuinely() -> None:
+    pose = {name: values if name == "t" else np.round(values, 2) for name, values in poses(period=0.002).items()}
+
+    flight = flight_of(pose=pose)
+
+    assert "stale_poses" not in counts(flight)
+    assert len(flight.pose_time) == pytest.approx(5050, abs=50)
+
+
 def test_a_pose_that_repeats_in_all_but_one_quantity_is_fresh() -> None:
     pose = poses() | {"x": np.zeros(1200), "y": np.zeros(1200), "z": np.ones(1200)}
 

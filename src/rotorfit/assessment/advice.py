@@ -347,6 +347,8 @@ def _trim_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator
     trims = [trim for trim in axis.trim if trim is not None]
     if not trims or not flights or axis.predictor is None or min(map(abs, trims)) < IMPOSSIBLE_TRIM:
         return
+    if name not in flights[0].card.command:
+        return
     command = flights[0].command[:, AXES.index(name)]
     if axis.status["input"] != "ok" or abs(np.mean(command)) < 2.0 * np.std(command):  # about 0, or hardly known
         return

@@ -121,7 +121,9 @@ def _slow(axis: str, time: Array, command: Array) -> Iterator[Finding]:
 
 
 def _units(axis: str, card: Card, command: Array) -> Iterator[Finding]:
-    channel, largest = card.command[axis], float(np.abs(command).max())
+    channel, largest = card.command.get(axis), float(np.abs(command).max())
+    if channel is None:  # x or y alone, given along the world: turned, it moves the vehicle along both
+        return
     if channel.full_scale:
         limit, what = FRACTION_LIMIT, f"a fraction of the {channel.full_scale} limit"
     elif channel.meaning:

@@ -128,9 +128,9 @@ def poses_of(log: Log, card: Card) -> Stream:
     values = np.stack([x, y, z, yaw], axis=1)
     stream = in_order(numbers(Stream("pose", stamps, values, np.full(len(stamps), NEVER), notes), log), log)
     seen = stream.values[:, own] if any(own) else stream.values  # values interpolated from other tables are never stale
-    if not (card.velocity_only and coarse(seen)):  # a heading in whole degrees genuinely repeats
+    if not coarse(seen):  # centimetres and whole degrees genuinely repeat, and what is left would lead the motion
         stream = keep_samples(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
-    if len(stream.stamps) < 2:
+    if len(stream.stamps) < 2 or not (card.velocity_only or np.any(np.ptp(seen, axis=0))):
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
     if "yaw" in series and degrees_for_radians(stream.stamps, stream.values[:, 3]):
         raise FlightError(
