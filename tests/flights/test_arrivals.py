@@ -8,6 +8,7 @@ import pytest
 
 from clean_flights import clean_flights
 from flights import CARD, steps
+from rotorfit.core.card import Card, Channel
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
 from rotorfit.core.model import STRUCTURE
@@ -114,6 +115,34 @@ def test_the_delay_of_a_flight_whose_pose_clock_is_wrong_is_that_of_the_right_on
     assert wrong.input == pytest.approx(right.input, rel=0.01)
     width = [ends[1] - ends[0] for ends in (right.ci95["delay"], wrong.ci95["delay"])]
     assert width[0] < width[1] < 2 * width[0]
+
+
+def by_the_recorder(log: Log) -> tuple[Log, Card]:
+    """The log with commands stamped by the recorder only, and its card."""
+    table = log.tables["/cmd_vel"]
+    columns = {name: values for name, values in table.columns.items() if name != "header.stamp"}
+    columns["log_time"] = table.columns.get("log_time", table.columns["header.stamp"])
+    card = replace(CARD, command_time=Channel("/cmd_vel:log_time"))
+    return replace(log, tables={**log.tables, "/cmd_vel": replace(table, columns=columns)}), card
+
+
+@pytest.mark.parametrize("ahead", [0.03, -0.03])
+def test_poses_that_arrive_before_they_are_sent_are_moved_where_the_recorder_stamps_the_commands(ahead: float) -> None:
+    log = as_log(simulate_flight(replace(Truth(), stale_share=0.0), steps(("z",), seed=4), 60.0, 4))
+    recorded, card = by_the_recorder(log)
+    right = fit([flight_from_log(recorded, card)], axes=("z",), structure=STRUCTURE).model.axes["z"]
+    count = len(log.tables["/pose"].columns["header.stamp"])
+
+    flight = flight_from_log(with_clock(recorded, "/pose", np.full(count, ahead)), card)
+    moved = fit([flight], axes=("z",), structure=STRUCTURE).model.axes["z"]
+
+    told = [note.text for note in flight.notes if note.code == "pose_clock_corrected"]
+    if ahead > 0:
+        assert "is ahead by" in told[0]
+        assert moved.delay == pytest.approx(right.delay, abs=0.01)
+        assert moved.ci95["delay"][0] < right.delay < moved.ci95["delay"][1]
+    else:
+        assert not told  # late stamps may be a long way
 
 
 def test_a_corrected_clock_is_an_info_with_its_step_and_without_a_drift() -> None:

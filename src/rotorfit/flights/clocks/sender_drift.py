@@ -10,7 +10,8 @@ by a curve that bends no faster than `BEND`, so that a stretch in which everythi
 the clock shows as a jump in the stamps while the arrivals continue; a change of route shows in the arrivals.
 
 Arrivals bound the mean error of the clock on one side only: messages do not arrive before they are sent. So the clock
-is taken to be right where it is least behind the arrivals, and is shifted if even there it is ahead of them.
+is taken to be right where it is least behind the arrivals, and is shifted if even there it is ahead of them. A clock
+that is merely ahead is shifted where the other of commands and poses is stamped by the recorder.
 """
 
 from collections.abc import Iterator, Mapping
@@ -45,6 +46,12 @@ LEAST_GROWTH = 0.002
 
 LEAST_STEP = 0.02
 """Least step of a clock that is detected [s]; time daemons slew smaller ones."""
+
+LEAST_AHEAD = 0.002
+"""Least time by which a clock must be ahead of all arrivals to be shifted [s]: stamps and arrivals are rounded."""
+
+LEAST_TRAVEL = 0.005
+"""Travel of the fastest messages, which no clock tells, in a local network at most [s]."""
 
 AROUND = 2.0
 """Time before and after a step over which its size is measured [s]."""
@@ -91,6 +98,7 @@ def on_the_recorders_clock(log: Log, card: Card) -> tuple[Log, tuple[Note, ...],
     filled = set(log.retimed)
     notes: list[Note] = []
     unknown = 0.0
+    by_recorder = any(table_of(log, str(one.source))[1] == "log_time" for one in (card.command_time, card.pose_time))
     for what, time, channels in _streams(card):
         table, name = table_of(log, str(time.source))
         if name != "header.stamp" or "log_time" not in table.columns or (table.name, name) in filled:
@@ -100,7 +108,9 @@ def on_the_recorders_clock(log: Log, card: Card) -> tuple[Log, tuple[Note, ...],
         rows = np.flatnonzero(
             (stamps != MISSING_STAMP) & (arrivals != MISSING_STAMP) & sample_rows(log, time, channels)
         )
-        found = correction(stamps[rows], arrivals[rows])
+        found = correction(stamps[rows], arrivals[rows]) or (
+            _shift(stamps[rows], arrivals[rows]) if by_recorder else None
+        )
         if found is None:
             continue
         moved = stamps.copy()
@@ -142,11 +152,22 @@ def correction(stamps: Stamps, arrivals: Stamps) -> Correction | None:
     line = start + drift * time
     bend = _bent_below(time, late - stepped - line)
     error = stepped + line + bend
-    travel = late - error
-    fastest = np.array([part.min() for part in np.array_split(travel, BLOCKS)])
-    half_width = float(np.hypot(np.quantile(fastest, 0.95), np.median(travel)))
     right = max(base + float(np.min(error)), 0.0) - base
-    return Correction(error - right, drift, tuple(sizes.tolist()), half_width)
+    return Correction(error - right, drift, tuple(sizes.tolist()), _half_width(late - error))
+
+
+def _half_width(travel: Array) -> float:
+    """Half the 95 % interval of the error that travel times leave, shape (N,) [s]: the fastest took some time, too."""
+    fastest = np.array([part.min() for part in np.array_split(travel, BLOCKS)])
+    return float(np.hypot(np.quantile(fastest, 0.95), np.median(travel)))
+
+
+def _shift(stamps: Stamps, arrivals: Stamps) -> Correction | None:
+    """The correction of a clock by which many messages arrive before they are sent; None if it is not ahead."""
+    late = (arrivals - stamps) / 1e9
+    if late.size < FEWEST or (early := float(np.quantile(late, EARLY))) > -LEAST_AHEAD:
+        return None
+    return Correction(np.full(late.size, early), 0.0, (), float(np.hypot(_half_width(late - early), LEAST_TRAVEL)))
 
 
 def _streams(card: Card) -> Iterator[tuple[str, Channel, Mapping[str, Channel]]]:
@@ -198,6 +219,7 @@ def _bent_below(time: Array, late: Array) -> Array:
 def _sentence(what: str, found: Correction) -> str:
     """What was done, in one sentence."""
     parts = [f"drifts by {1e6 * found.drift:+.0f} us/s"] if found.drift else []
+    parts += [] if found.drift or found.steps else [f"is ahead by {-1e3 * float(found.error[0]):.0f} ms"]
     parts += [f"{'steps' if n == 0 else 'and'} by {1e3 * size:+.0f} ms" for n, size in enumerate(found.steps)]
     mean, most = 1e3 * float(np.mean(found.error)), 1e3 * float(np.ptp(found.error))
     return (
