@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_views import known_model
 
 from flights import flown
 from rotorfit.core.flight_data import Flight
@@ -100,6 +101,18 @@ def test_the_lines_to_type_name_the_last_model_that_there_is(track: Track, fligh
 
     assert "rotorfit validate &#39;a b-1.json&#39; NEXT-FLIGHT.csv" in page
     assert "There is no model to go on with" in timeline_page(track, flight)
+
+
+def test_a_flight_is_tracked_again_as_it_was(track: Track, flight: Flight) -> None:
+    again = ["a.csv@2:9", "--card", "my.toml", "--structure", "first_order"]
+    regimes = tuple(replace(one, model=known_model()) for one in track.regimes)
+    page = timeline_page(replace(track, regimes=regimes), flight, (), again)
+    assert "rotorfit track a.csv@2:9 --card my.toml --structure first_order -o model.json" in page
+    assert "rotorfit plan --after" in page
+    assert 'x: input gain <span class="muted">[m/s² per command]</span>' in page
+
+    world = replace(flight, card=replace(flight.card, command_frame="world"))
+    assert "rotorfit plan" not in timeline_page(replace(track, regimes=regimes), world, (), again)
 
 
 def test_a_live_flight_that_was_not_recorded_is_not_named_as_a_log(track: Track, flight: Flight) -> None:

@@ -33,7 +33,9 @@ def write_report(evidences: Sequence[Evidence], path: Path) -> Path | None:
     return write_result(path, page(evidences))
 
 
-def write_timeline(track: Track, flight: Flight, path: Path, files: Sequence[Path | None] = ()) -> Path | None:
+def write_timeline(
+    track: Track, flight: Flight, path: Path, files: Sequence[Path | None] = (), again: Sequence[str] = ()
+) -> Path | None:
     """Writes one self-contained HTML page about a tracked flight: final state, estimates over time, alarms, regimes.
 
     Args:
@@ -41,13 +43,14 @@ def write_timeline(track: Track, flight: Flight, path: Path, files: Sequence[Pat
         flight: The flight as recorded.
         path: Path of the page.
         files: Model file of each regime, or None.
+        again: Log and options of `rotorfit track` for this flight; default: the flight's path alone.
 
     Returns:
         Path at which a replaced page is kept; None if there was none.
     """
     from rotorfit.reporting.timeline import timeline_page
 
-    return write_result(path, timeline_page(track, flight, files))
+    return write_result(path, timeline_page(track, flight, files, again))
 
 
 def write_figures(evidence: Evidence, directory: Path) -> list[Path]:

@@ -62,13 +62,14 @@ class Raised:
     why: str
 
 
-def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = ()) -> str:
+def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (), again: Sequence[str] = ()) -> str:
     """The whole page.
 
     Args:
         track: The track.
         flight: The flight as recorded.
         files: Model file of each regime, or None.
+        again: Log and options of `rotorfit track` for this flight; default: the flight's path alone.
     """
     last = track.states[-1]
     panels = _panels(track)
@@ -94,7 +95,10 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
         "time": ("Over time", {"number": panels.number, "axes": _by_axis(panels)}),
         "alarms": ("Alarms", {"alarms": [raised(alarm) for alarm in track.alarms], "watch": track.watch}),
         "regimes": ("Regimes", {"regimes": _regimes(track.regimes, files), "several_regimes": len(track.regimes) > 1}),
-        "on": ("How to go on", {"commands": _commands(track, flight, files), "notes": flight.notes}),
+        "on": (
+            "How to go on",
+            {"commands": _commands(track, flight, files, again or (flight.path,)), "notes": flight.notes},
+        ),
     }
     heading = Heading(
         title="Tracked flight",
@@ -243,7 +247,7 @@ def _chart(track: Track, axis: str, what: str) -> Chart | None:
         axis=axis,
         title=f"{axis}: {name}",
         x_label="time [s]",
-        y_label=unit.removesuffix(" per command"),
+        y_label=unit,
         x=line.time[keep],
         lines=(Line(name, "model", line.value[keep]),),
         reading="",
@@ -349,23 +353,24 @@ def _with_interval(value: float | None, ends: Interval | None) -> str:
     return "—" if value is None else f"{_value(value, ends)} ({_interval(ends, value)})"
 
 
-def _commands(track: Track, flight: Flight, files: Sequence[Path | None]) -> list[str]:
+def _commands(track: Track, flight: Flight, files: Sequence[Path | None], again: Sequence[str]) -> list[str]:
     """Lines to type, using the model of the last regime that has one."""
     lines = []
     last = next((path for path in reversed(files) if path), None)
     if last is None and flight.path == UNRECORDED:
         return ["# neither model nor recording was written: next time add -o model.json or --record flight.mcap"]
     if last is None:
-        lines.append(shlex.join(["rotorfit", "track", flight.path, "-o", "model.json"]))
+        lines.append(shlex.join(["rotorfit", "track", *again, "-o", "model.json"]))
         numbered = [n for n, one in enumerate(track.regimes, 1) if one.model]
         if not numbered:
             return []
         last = Path("model.json" if len(track.regimes) == 1 else f"model-{numbered[-1]}.json")
     model = shlex.quote(str(last))
+    plan = f"rotorfit plan --after {model} --room 6x4x3 -o plan.toml"
     return [
         *lines,
         f"rotorfit validate {model} NEXT-FLIGHT.csv",
         f"rotorfit tune {model} -o gains.toml",
         f"rotorfit export {model} --to numpy -o model.py",
-        f"rotorfit plan --after {model} --room 6x4x3 -o plan.toml",
+        *[plan] * (flight.card.command_frame == "heading"),  # no plan commands the world frame
     ]

@@ -125,6 +125,7 @@ def track(
     """Estimate the model while the vehicle flies, and report when it changes. Sends no commands."""
     from rotorfit.app.live.serving import Views
     from rotorfit.app.workflows import MODEL_MARK, check_destination, check_page
+    from rotorfit.core.laws import AVERAGED
     from rotorfit.core.writing import check_place
     from rotorfit.flying.mission import check_new
     from rotorfit.tracking.earlier import earlier_of
@@ -156,7 +157,9 @@ def track(
             result, flight, trouble = _listened(link, asked, views, seconds, patience, record, memory)
         else:
             result, flight, stopped = _replayed(str(log), asked, views)
-        _told(result, flight, asked, output, report)
+        options = {"--card": card, "--structure": None if structure == AVERAGED else structure, "--after": after}
+        again = [str(log or record), *(word for pair in options.items() if pair[1] for word in map(str, pair))]
+        _told(result, flight, asked, output, report, again)
     if trouble:
         raise trouble
     if stopped:
@@ -190,8 +193,24 @@ class _Asked:
     regaining: "Regaining | None"
 
 
-def _told(result: "Track", flight: "Flight | None", asked: _Asked, output: Path | None, report: Path | None) -> None:
-    """Writes models and report, and prints the end."""
+def _told(
+    result: "Track",
+    flight: "Flight | None",
+    asked: _Asked,
+    output: Path | None,
+    report: Path | None,
+    again: Sequence[str],
+) -> None:
+    """Writes models and report, and prints the end.
+
+    Args:
+        result: The track.
+        flight: The flight, if it is known.
+        asked: How it was tracked.
+        output: Where the models go.
+        report: Where the page goes.
+        again: Log and options that track the same flight.
+    """
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.tracking import track_view
 
@@ -199,7 +218,7 @@ def _told(result: "Track", flight: "Flight | None", asked: _Asked, output: Path 
     if report and flight:
         from rotorfit.reporting import write_timeline
 
-        say_kept(write_timeline(result, flight, report, files))
+        say_kept(write_timeline(result, flight, report, files, again))
     if asked.jsonl:
         click.echo(json.dumps(_end(result, files, report if flight else None), allow_nan=False))
         return
