@@ -164,6 +164,16 @@ def test_bands_are_those_of_white_noise_where_nothing_changes() -> None:
     np.testing.assert_allclose(cross_correlation(innovations, NONE).band, 1.96 / np.sqrt(N), rtol=0.25)
 
 
+def test_coefficients_that_could_explain_any_correlation_leave_past_commands_untested() -> None:
+    past = past_commands(np.random.default_rng(5))
+    innovations = of(np.random.default_rng(4).standard_normal(N) + past[:, 6], past)
+    found = residual_tests(innovations, innovations.innovation, 1e12 * np.eye(3), 0.0)
+
+    assert found is not None
+    assert (found.command_p, found.follows_command) == (None, None)
+    assert outcome(innovations).follows_command
+
+
 def test_few_innovations_are_not_tested_and_an_axis_at_rest_is_not_asked_for_commands() -> None:
     few = of(np.ones(99), time=TIME[:99])
     assert residual_tests(few, few.innovation, NONE, 0.0) is None

@@ -120,6 +120,8 @@ def residual_tests(
     command_p, freedom = _independence(innovations, covariance)
     with_command = cross_correlation(innovations, covariance)
     size, band = np.abs(with_command.value), with_command.band
+    if min(band[band > 0], default=0.0) >= 1:  # coefficients so uncertain that any correlation could be theirs
+        command_p, freedom = None, 0
     share = np.divide(size, band, out=np.zeros_like(size), where=band > 0)  # no band without a command
     peak = int(np.argmax(share))
     white_p = _chi_squared(robust, max(int(np.sum(told)), 1))

@@ -140,5 +140,6 @@ class ResponseComparison:
 
     @property
     def model_delay_band(self) -> Array:
-        """Ends of the 95 % bands of the model's delay, shape (K, 2) [s]."""
-        return np.stack([self.model_delay - self.delay_half_width, self.model_delay + self.delay_half_width], axis=1)
+        """Ends of the 95 % bands of the model's delay, shape (K, 2) [s]; infinite where the phase is undetermined."""
+        half = np.where(self.delay_half_width * self.flight.frequency < np.pi, self.delay_half_width, np.inf)
+        return np.stack([self.model_delay - half, self.model_delay + half], axis=1)

@@ -55,7 +55,8 @@ class ResidualTests:
         ljung_box_p: Its p-value.
         white_p: p-value of the test that allows the variance to change during the flight; the verdict uses this one.
         command_freedom: Number of independent past commands, up to one second, in the second test.
-        command_p: p-value of independence from the past commands; None where the axis was not commanded.
+        command_p: p-value of independence from the past commands; None where the axis was not commanded, or where the
+            coefficients are too uncertain for a test.
         command_peak: Largest correlation with a past command, in units of its 95 % band.
         command_peak_lag: Lag of that correlation [s].
         variance_ratio: Mean square of the innovations at the levels of the fit; 1 if wind and noise equal those of the
@@ -63,7 +64,7 @@ class ResidualTests:
         variance_ci95: Its 95 % interval, including the uncertainty of the levels.
         optimism: Coefficient name to the factor by which its interval would be too narrow for such innovations.
         white: Whether whiteness is not rejected at 95 %.
-        follows_command: Whether the innovations depend on past commands, at 95 %; None where there were none.
+        follows_command: Whether the innovations depend on past commands, at 95 %; None where that was not tested.
     """
 
     n: int

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frames import AXES, POSE_UNITS, Array
 from rotorfit.core.frequency_response import ResponseComparison
 from rotorfit.reporting.views import Chart, Line
 
@@ -95,8 +95,9 @@ def _chart(comparison: ResponseComparison, what: str) -> Chart:
     outside = 0
     if comparison.model is not None:
         lines.append(Line("this model", "model", factor * model))
-        if np.isfinite(sides).all():
-            lines += [Line("the model's 95 % band", "paper", factor * end) for end in sides.T]
+        known = np.isfinite(sides).all(axis=1)
+        if known.any():
+            lines += [Line("the model's 95 % band", "paper", np.where(known, factor * end, np.nan)) for end in sides.T]
         outside = int(np.sum((model < band[:, 0]) | (model > band[:, 1])))
     shown = [factor * value, *([factor * model] if comparison.model is not None else [])]
     low, high = min(float(np.min(y)) for y in shown), max(float(np.max(y)) for y in shown)
@@ -106,7 +107,7 @@ def _chart(comparison: ResponseComparison, what: str) -> Chart:
         axis=flight.axis,
         title=f"{flight.axis}: {what} over frequency",
         x_label="frequency [rad/s]",
-        y_label="velocity per command" if gain else "delay [ms]",
+        y_label=f"gain [{POSE_UNITS[flight.axis]}/s per unit of command]" if gain else "delay [ms]",
         x=x,
         lines=tuple(lines),
         reading="What the flight itself answers to a sine of each frequency, without any law, and thin lines for its "
