@@ -11,10 +11,24 @@ from rotorfit.assessment.rows import coefficient_rows, scores_of
 from rotorfit.assessment.validation import residuals, validate
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import unknown_axis
-from rotorfit.core.results import AxisScore, FlightScores, Horizon, Validation, student_quantile
+from rotorfit.core.frequency_response import FrequencyResponse, ResponseComparison
+from rotorfit.core.model import Combination, unknown_axis
+from rotorfit.core.residuals import Correlogram
+from rotorfit.core.results import (
+    AxisScore,
+    Difference,
+    FlightScores,
+    Horizon,
+    Paired,
+    PairedTest,
+    Validation,
+    student_quantile,
+)
 from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
-from rotorfit.reporting.tables import unit_text
+from rotorfit.reporting.drawing import draw_chart
+from rotorfit.reporting.frequency import response_charts
+from rotorfit.reporting.tables import paired_rows, unit_text
+from rotorfit.reporting.views import Chart, Line
 
 NOTHING = AxisScore({"1": Horizon(None, None, 0)}, None)
 
@@ -119,6 +133,27 @@ def test_the_profile_carries_the_interval_and_all_optima_relative_to_the_chosen_
     assert chart.y_range == (-25.0, pytest.approx(3.3))
 
 
+def test_the_shaded_interval_is_said_to_be_the_vehicles_and_not_that_of_the_curve() -> None:
+    wide = replace(known_axis("x"), ci95={**known_axis("x").ci95, "delay": (-0.3, 0.5)})
+    chart = profile_charts(replace(known_model(), axes={"x": wide} | dict.fromkeys(AXES[1:], unknown_axis("ok"))))[0]
+
+    assert "The shaded one is the vehicle's" in chart.reading
+    assert "interval for the vehicle -0.300 to 0.500 s" in chart.summary
+
+
+@pytest.mark.parametrize(("top", "missed"), [(30.0, True), (2.9, False)])
+def test_a_profile_that_rises_above_the_optima_shows_that_the_search_missed_one(top: float, missed: bool) -> None:
+    """Up to 3 it rises to the optimum that was found and rejected."""
+    one = known_axis("x")
+    axis = replace(one, profile=(*one.profile[:-1], (0.2, top)), modes=one.modes)
+    chart = profile_charts(replace(known_model(), axes={**known_model().axes, "x": axis}))[0]
+
+    assert ("the search missed a better one: at 0.200 s the curve is at +30.0" in chart.summary) == missed
+    lone = replace(axis, modes=one.modes[:1])
+    alone = profile_charts(replace(known_model(), axes={**known_model().axes, "x": lone}))[0]
+    assert "no other was found" not in alone.summary
+
+
 def test_an_open_end_of_the_delays_interval_is_infinite() -> None:
     axis = replace(known_axis("x"), ci95={**known_axis("x").ci95, "delay": (None, 0.2)})
     model = known_model()
@@ -153,6 +188,49 @@ def test_past_commands_have_a_chart_of_their_own_without_those_that_came_after(f
     assert [chart.y_label for chart in charts] == ["autocorrelation", "correlation"]
     assert charts[1].x.min() > 0
     assert charts[1].x.max() == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_band_wider_than_any_correlation_is_no_band() -> None:
+    lag = np.arange(1, 11) / 10
+    free = {"yaw": Correlogram(lag, np.full(10, 0.1), np.full(10, 11312.0)), "z": Correlogram(lag, lag, lag)}
+    yaw, z = residual_charts({}, {name: free[name] for name in ("yaw", "z")})
+
+    assert yaw.summary == "yaw: not tested: the coefficients are not known well enough."
+    assert np.isnan(yaw.lines[1].y).all()
+    assert "±" not in "".join(stop.text for stop in draw_chart(yaw, 300, 200).stops)
+    assert "(0.45 expected by chance)" in z.summary
+
+
+def test_the_models_delay_has_no_band_where_a_whole_turn_of_phase_is_possible() -> None:
+    shape = np.ones(2)
+    flight = FrequencyResponse(
+        "yaw", np.array([2.0, 4.0]), shape + 0j, np.full((2, 2), 0.1), shape, shape, "tones", expected=-shape
+    )
+    compared = ResponseComparison(flight, shape + 0j, np.array([[0.9, 1.1]] * 2), np.array([1050.0, 0.01]))
+    gain, delay = response_charts([{"yaw": compared}])
+
+    assert gain.y_label == "gain [rad/s per unit of command]"
+    assert [np.isfinite(line.y).tolist() for line in delay.lines if line.role == "paper"] == [[False, True]] * 2
+
+
+def test_no_number_is_shown_of_which_the_data_say_nothing() -> None:
+    axis = replace(known_axis("z"), combinations={"total_lag": Combination(0.06, (None, None))})
+    rows = coefficient_rows(replace(known_model(), axes={**known_model().axes, "z": axis}))
+
+    (row,) = (row for row in rows if (row.axis, row.name) == ("z", "total_lag"))
+    assert (row.value, row.status) == (None, "open")
+
+
+def test_differences_and_delays_are_written_without_powers_of_ten(flight: Flight) -> None:
+    found = Difference(40, -1.43, 0.2, 1e6, 0.001, -2.0, 0.3, "better")
+    paired = Paired((found,), found, None)
+    test = PairedTest("model", "hold", {axis: {"1": {"velocity": paired, "position": paired}} for axis in AXES})
+    row = paired_rows(replace(validate(known_model(), [flight]), paired=(test,)))[0]
+    assert row[4] == "−143 (−182 to −104) cm/s"
+
+    line = Line("x", "model", np.array([1.0, 2.0]))
+    chart = Chart("profile", "x", "x", "delay [s]", "y", np.array([-1.39e-17, 0.1]), (line,), "", "")
+    assert [stop.text for stop in draw_chart(chart, 300, 200).stops] == ["delay 0 s: 1", "delay 0.1 s: 2"]
 
 
 def test_flights_are_pooled_in_the_charts_by_what_they_know() -> None:

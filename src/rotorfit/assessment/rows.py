@@ -120,7 +120,8 @@ def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
     for part, known in axis.combinations.items():
         status = "ok" if None not in known.ci95 else "open"
         of_command = part in ("steady_gain", "input_up", "input_down")
-        yield row(part, "combination", units.get(part, "s"), of_command, known.value, known.ci95, status)
+        value = None if known.ci95 == (None, None) else known.value  # of which the data say nothing
+        yield row(part, "combination", units.get(part, "s"), of_command, value, known.ci95, status)
 
 
 def command_unit(model: Model, axis: str) -> str:

@@ -395,6 +395,12 @@ class Validation:
     bands: tuple[Scores, ...] = ()
 
     @property
+    def spent(self) -> tuple[str, ...]:
+        """The axes that only flights move to which the model was fitted, at least in part: they prove nothing."""
+        moved = {fitted: {a for f in self.flights if f.fitted == fitted for a in f.moved} for fitted in (True, False)}
+        return tuple(axis for axis in AXES if axis in moved[True] - moved[False])
+
+    @property
     def misread(self) -> tuple[Finding, ...]:
         """Errors in the data of the flights, or in how the card reads them: the scores do not judge the model."""
         return tuple(finding for finding in self.findings if finding.severity == "error")

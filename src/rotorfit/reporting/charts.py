@@ -17,6 +17,9 @@ FALL = 1.92
 PROFILE_REACH = 25.0
 """Range of log-likelihood around its maximum in which a profile is drawn: below, all delays are equally impossible."""
 
+SURELY_HIGHER = 0.1
+"""Rise of a profile above the optima that were found from which they are not the highest: less is rounding."""
+
 NAMES = {"hold": "hold the velocity", "paper": "paper's coefficients", "model": "this model"}
 """Predictors that are compared, with their names, in the order of drawing."""
 
@@ -101,23 +104,30 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
         for mode in axis.modes
     )
     low, high = axis.ci95.get("delay", (None, None))
+    rise, found = float(value.max()), max((mode.log_likelihood - base for mode in axis.modes), default=0.0)
     fall = axis.profile_fall or FALL
     told = f"delay {axis.predictor.delay:.3f} s, " if axis.predictor else ""
     reached = f"; {chosen.starts} of {starts} starts reached this optimum" if chosen else ""
     others = len(axis.modes) - 1
-    reached += f", {others} other{'s' if others > 1 else ''} found" if others > 0 else ", no other was found"
+    if others > 0:
+        reached += f", {others} other{'s' if others > 1 else ''} found"
+    if rise > found + SURELY_HIGHER:
+        reached += f", but the search missed a better one: at {delay[value.argmax()]:.3f} s the curve is at +{rise:.1f}"
+    elif others <= 0:
+        reached += ", no other was found"
     return Chart(
         kind="profile",
         axis=name,
         title=f"{name}: why this delay",
         x_label="delay [s]",
-        y_label="log-likelihood − maximum",
+        y_label="log-likelihood − the chosen one's",
         x=delay,
         lines=(Line("profile likelihood", "model", value),),
         reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "
-        f"stays above the dashed line (−{fall:.2f}) lies the 95 % interval, shaded. Dots are optima that were found; "
+        f"stays above the dashed line (−{fall:.2f}) lies the 95 % interval of this law for these flights alone. The "
+        "shaded one is the vehicle's: it also covers other laws and other flights. Dots are optima that were found; "
         "hollow ones lie beyond the picture.",
-        summary=f"{name}: {told}95 % interval {_end(low)} to {_end(high)} s{reached}.",
+        summary=f"{name}: {told}95 % interval for the vehicle {_end(low)} to {_end(high)} s{reached}.",
         marks=marks,
         levels=((-fall, f"−{fall:.2f}"),),
         span=(-np.inf if low is None else low, np.inf if high is None else high),
@@ -146,8 +156,16 @@ def residual_charts(white: Mapping[str, Correlogram], free: Mapping[str, Correlo
 
 
 def _correlogram_chart(axis: str, found: Correlogram, title: str, label: str, reading: str) -> Chart:
-    outside, n = int(np.sum(np.abs(found.value) > found.band)), found.lag.size
-    size = f"of about ±{float(np.median(found.band)):.3f} " if n else ""
+    told = found.band < 1  # no correlation is larger: a wider band says nothing
+    outside, n, band = (
+        int(np.sum(np.abs(found.value) > found.band)),
+        int(told.sum()),
+        np.where(told, found.band, np.nan),
+    )
+    summary = "not tested: the coefficients are not known well enough"
+    if n:
+        size = f"of about ±{float(np.median(found.band[told])):.3f} "
+        summary = f"{outside} of {n} lags lie outside the 95 % band {size}({0.05 * n:.2g} expected by chance)"
     return Chart(
         kind="correlation",
         axis=axis,
@@ -157,11 +175,11 @@ def _correlogram_chart(axis: str, found: Correlogram, title: str, label: str, re
         x=found.lag,
         lines=(
             Line(title, "residual", found.value),
-            Line("95 % band", "band", found.band),
-            Line("95 % band", "band", -found.band),
+            Line("95 % band", "band", band),
+            Line("95 % band", "band", -band),
         ),
         reading=reading,
-        summary=f"{axis}: {outside} of {n} lags lie outside the 95 % band {size}({0.05 * n:.0f} expected by chance).",
+        summary=f"{axis}: {summary}.",
     )
 
 

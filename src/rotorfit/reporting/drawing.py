@@ -232,10 +232,11 @@ def _stops(chart: Chart, place: Callable[[Array | float], Array]) -> tuple[Stop,
         parts = [f"{line.name} {line.y[i]:.3g}" for line in shown if np.isfinite(line.y[i])]
         if len(shown) == 1:
             parts = [part.removeprefix(f"{shown[0].name} ") for part in parts]
-        limit = "" if band is None else f", 95 % band ±{band[i]:.2g}"
+        limit = "" if band is None or not np.isfinite(band[i]) else f", 95 % band ±{band[i]:.2g}"
         limit += "".join(f", {n} {_end(low[i])} to {_end(high[i])}" for n, low, high in areas)
         if parts:
-            text = f"{name} {x:.3g} {unit}: {', '.join(parts)} {_unit(chart) if '[' in chart.y_label else ''}".rstrip()
+            at = round(float(x), 9) + 0.0  # a grid of delays comes near 0 only, and a zero may be negative
+            text = f"{name} {at:.3g} {unit}: {', '.join(parts)} {_unit(chart) if '[' in chart.y_label else ''}".rstrip()
             stops.append(Stop(float(place(x)), f"{text}{limit}".replace(" -", " −")))
     return tuple(stops)
 

@@ -6,10 +6,10 @@ from rotorfit.assessment.case import Case
 from rotorfit.assessment.evidence import Evidence
 from rotorfit.estimation.methods import label_of
 from rotorfit.reporting.document import Heading, document
-from rotorfit.reporting.panels import FlightPanels, flight_panels, series, speeds_of
+from rotorfit.reporting.panels import flight_panels, series, speeds_of
 from rotorfit.reporting.sections import SECTIONS, Contents
 from rotorfit.reporting.side_by_side import names_of
-from rotorfit.reporting.verdict import Verdict, verdict_of
+from rotorfit.reporting.verdict import verdict_on
 from rotorfit.reporting.views import look_of
 
 
@@ -22,7 +22,8 @@ def page(evidences: Sequence[Evidence]) -> str:
     cases = [evidence.case for evidence in evidences]
     names = names_of(cases)
     tested, fitted = flight_panels(evidences, names)
-    verdicts = tuple(_verdict(evidence, tested) for evidence in evidences)
+    speeds = speeds_of([view for view in tested if not view.fitted])
+    verdicts = tuple(verdict_on(evidence, speeds) for evidence in evidences)
     contents = Contents(tuple(evidences), names, verdicts, tuple(tested), tuple(fitted))
     shared = {
         "cases": cases,
@@ -49,13 +50,6 @@ def _roles(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]
     if len(cases) > 1:
         return [(look_of(k), name) for k, name in enumerate(names)]
     return [("model", "this model"), *([("paper", "paper's coefficients")] if cases[0].model.method != "paper" else [])]
-
-
-def _verdict(evidence: Evidence, tested: Sequence[FlightPanels]) -> Verdict:
-    model, validation = evidence.case.model, evidence.case.validation
-    fresh = [view for view in tested if not view.fitted]
-    speeds = speeds_of(fresh)
-    return verdict_of(model, evidence.scores, validation.paired, validation.residuals, speeds, validation.misread)
 
 
 def _origin(case: Case) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import STRUCTURE, Model
+from rotorfit.estimation.methods import maximises_likelihood
 from rotorfit.version import __version__
 
 
@@ -48,10 +49,10 @@ def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
         model: The model, with the flights that it was fitted to.
         flights: The validation flights.
     """
-    training = [LogUsed(f.path, "training", f.sha256, f.span) for f in model.flights]
+    training = _training(model)
     tested = [LogUsed(f.path, "validation", f.sha256, f.span) for f in flights]
-    fit = ["rotorfit", "fit", *map(_log, training), "--card", "card.toml", "--method", model.method, *_options(model)]
-    fit += ["--prior"] * (model.prior is not None)
+    fit = fit_words(model, structure_asked(model), axes_asked(model))
+    fit += ["--leave-one-out"] * (model.leave_one_out is not None) + ["--uncertainty"] * (model.uncertainty is not None)
     commands = [shlex.join([*fit, "-o", "fitted.json" if model.conversion else "model.json"]), *_converting(model)]
     if tested:
         commands += [shlex.join(["rotorfit", "validate", "model.json", *map(_log, tested)])]
@@ -77,22 +78,42 @@ def _converting(model: Model) -> list[str]:
     return [shlex.join(["rotorfit", "convert", "fitted.json", "--limits", limits, "-o", "model.json"])]
 
 
-def _options(model: Model) -> list[str]:
-    """Options for structure and axes, if they are not the default."""
+def fit_words(model: Model, structure: str, axes: Sequence[str]) -> list[str]:
+    """The words of a fit to the model's flights, with its card, method and prior; without `-o`.
+
+    Args:
+        model: The model.
+        structure: Law of every axis, or `auto`; empty for the default.
+        axes: The axes to fit.
+    """
+    words = ["rotorfit", "fit", *map(_log, _training(model)), "--card", "card.toml", "--method", model.method]
+    words += ["--structure", structure] if structure else []
+    words += ["--axes", ",".join(axes)] if len(axes) < len(AXES) else []
+    return words + ["--prior"] * (model.prior is not None)
+
+
+def _training(model: Model) -> list[LogUsed]:
+    return [LogUsed(f.path, "training", f.sha256, f.span) for f in model.flights]
+
+
+def structure_asked(model: Model) -> str:
+    """The law that the fit was asked for, or `auto`; empty for the default."""
     known = [axis for axis in model.axes.values() if axis.predictor]
-    tried = any(candidate.chosen for axis in known for candidate in axis.candidates)
-    others = {axis.structure for axis in known if axis.structure != STRUCTURE}
-    structure = "auto" if tried else next(iter(others), STRUCTURE)
-    default = model.method not in ("ml", "robust") or not known or any(axis.laws for axis in known)
-    return [*([] if default else ["--structure", structure]), *_axes(model)]
+    if not maximises_likelihood(model.method) or not known or any(axis.laws for axis in known):
+        return ""
+    if any(candidate.chosen for axis in known for candidate in axis.candidates):
+        return "auto"
+    return next((axis.structure for axis in known if axis.structure != STRUCTURE), STRUCTURE)
 
 
-def _axes(model: Model) -> list[str]:
-    """The option that names the axes, if a likelihood fit left out some that the flights command."""
+def axes_asked(model: Model) -> tuple[str, ...]:
+    """The axes that the fit was asked for: all but those that it left out though the flights command them."""
     served = {axis for flight in model.flights for axis in flight.axes}
-    unasked = ("not_fitted", "not_excited")  # earlier files have the second for both
-    asked = [a for a in AXES if a not in served or model.axes[a].noise or model.axes[a].status["input"] not in unasked]
-    return ["--axes", ",".join(asked)] if model.method != "paper" and asked and len(asked) < len(AXES) else []
+    left_out = ["not_fitted"]
+    if maximises_likelihood(model.method):  # its earlier files say so of both
+        left_out.append("not_excited")
+    asked = [a for a in AXES if a not in served or model.axes[a].noise or model.axes[a].status["input"] not in left_out]
+    return tuple(asked) or AXES
 
 
 def _log(log: LogUsed) -> str:

@@ -23,6 +23,7 @@ from rotorfit.reporting.side_by_side import coefficients_side_by_side, flights_s
 from rotorfit.reporting.tables import (
     ahead_rows,
     coefficient_table,
+    flight_names,
     laws_of,
     mode_rows,
     paired_rows,
@@ -151,7 +152,9 @@ def _residuals(page: Contents) -> dict[str, Any]:
     return {
         "correlations": [_panels(c for c in every if c.y_label == "autocorrelation") for every in charts],
         "followings": [_panels(c for c in every if c.y_label != "autocorrelation") for every in charts],
-        "residual_rows": [residual_rows(each.tested_on, each.tests) for each in page.evidences],
+        "residual_rows": [
+            residual_rows(flight_names(each.case.validation) or each.tested_on, each.tests) for each in page.evidences
+        ],
         "tested_on": "validation" if page.cases[0].flights else "training",
     }
 

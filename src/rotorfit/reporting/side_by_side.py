@@ -84,7 +84,7 @@ def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: f
     charts = []
     for axis in AXES:
         unit, factor = SPEED[axis]
-        rows = []
+        rows, values = [], []
         for number, flight in enumerate(cases[0].validation.flights):
             dots = []
             for k, case in enumerate(cases):
@@ -98,19 +98,21 @@ def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: f
                 said = ", ".join(f"{label} {figure(factor * value)}" for label, value in known)
                 fitted = " (was fitted: proves nothing)" if flight.fitted else ""
                 points = tuple((role, value * factor if value else None) for role, _, value in dots)
-                rows.append(
-                    ChartRow(shortened(name), points, f"{name}, {axis}, {horizon:g} s ahead: {said} {unit}{fitted}")
-                )
+                shown = shortened(f"{name} (fitted)" if flight.fitted else name)
+                rows.append(ChartRow(shown, points, f"{name}, {axis}, {horizon:g} s ahead: {said} {unit}{fitted}"))
+                if not flight.fitted and points[0][1] is not None:
+                    values.append(points[0][1])
         if len(rows) > 1:
-            values = [row.dots[0][1] for row in rows if row.dots[0][1] is not None]
-            seen = (
-                f"{axis}: {figure(min(values))} to {figure(max(values))} {unit} over {len(rows)} flights."
-                if values
-                else ""
-            )
+            seen = f"{axis}: {_range(values)} {unit}." if values else ""
             label = f"velocity error over {horizon:g} s [{unit}]"
             charts.append(RowChart(f"{axis}: flight by flight", label, tuple(rows), FLIGHTS, seen, x_log=True))
     return tuple(charts)
+
+
+def _range(values: Sequence[float]) -> str:
+    """The errors of the flights that count, in words."""
+    over = "one flight that was not fitted" if len(values) == 1 else f"{len(values)} flights that were not fitted"
+    return f"over {over}, {' to '.join(dict.fromkeys(figure(f(values)) for f in (min, max)))}"
 
 
 def shortened(name: str) -> str:

@@ -228,12 +228,19 @@ def mode_rows(model: Model) -> list[list[str]]:
     return rows
 
 
+def flight_names(validation: Validation) -> list[str]:
+    """Paths of the flights; those to which the model was fitted are marked, for they prove nothing."""
+    return [f"{flight.path} (fitted)" if flight.fitted else flight.path for flight in validation.flights]
+
+
 def score_rows(validation: Validation) -> list[list[str]]:
     """Errors flight by flight, of the axes that have any, at the horizons of the protocol."""
-    return [row for number in range(len(validation.flights)) for row in _flight_rows(validation, number)]
+    return [
+        row for number, name in enumerate(flight_names(validation)) for row in _flight_rows(validation, number, name)
+    ]
 
 
-def _flight_rows(validation: Validation, number: int) -> list[list[str]]:
+def _flight_rows(validation: Validation, number: int, name: str) -> list[list[str]]:
     by_name: dict[str, FlightScores] = {
         "model": validation.flights[number],
         **{name: flights[number] for name, flights in validation.baselines.items()},
@@ -242,11 +249,11 @@ def _flight_rows(validation: Validation, number: int) -> list[list[str]]:
     for axis in AXES:
         for key, own in by_name["model"].axes[axis].horizons.items():
             if float(key) in HORIZONS and own.velocity_rmse is not None:
-                at = {name: each.axes[axis].horizons[key] for name, each in by_name.items()}
-                velocity = {name: each.velocity_rmse for name, each in at.items()}
-                position = {name: each.position_rmse for name, each in at.items()}
+                at = {predictor: each.axes[axis].horizons[key] for predictor, each in by_name.items()}
+                velocity = {predictor: each.velocity_rmse for predictor, each in at.items()}
+                position = {predictor: each.position_rmse for predictor, each in at.items()}
                 score = HorizonErrors(axis, float(key), velocity, position, own.n)
-                rows.append([validation.flights[number].path, *_score_row(score)])
+                rows.append([name, *_score_row(score)])
     return rows
 
 
@@ -267,7 +274,7 @@ def _score_row(score: HorizonErrors) -> list[str]:
 
 def paired_rows(validation: Validation) -> list[list[str]]:
     """Differences from the baselines with their 95 % intervals, flight by flight and pooled."""
-    paths = [flight.path for flight in validation.flights]
+    paths = flight_names(validation)
     rows = []
     for axis in AXES:
         for test in validation.paired:
@@ -291,8 +298,15 @@ def _difference(found: Difference | None, unit: str, factor: float) -> list[str]
     if found is None:
         return ["—", "—"]
     ends = found.rmse_ci95
-    told = "" if ends is None else f" ({factor * ends[0]:+.2g} to {factor * ends[1]:+.2g})"
-    return [f"{factor * found.rmse:+.3g}{told} {unit}".replace("-", "−"), found.verdict.replace("_", " ")]
+    scale = None if ends is None else factor * (ends[1] - ends[0]) / 4  # about the standard error
+    difference, *interval = (_signed(factor * value, scale) for value in (found.rmse, *(ends or ())))
+    told = f" ({' to '.join(interval)})" if interval else ""
+    return [f"{difference}{told} {unit}", found.verdict.replace("_", " ")]
+
+
+def _signed(value: float, scale: float | None) -> str:
+    """A difference with its sign, rounded according to its uncertainty."""
+    return f"{'+' if value > 0 else ''}{rounded(value, scale)}"
 
 
 def residual_rows(paths: Sequence[str], tests: Sequence[Mapping[str, ResidualTests]]) -> list[list[str]]:
@@ -303,7 +317,7 @@ def residual_rows(paths: Sequence[str], tests: Sequence[Mapping[str, ResidualTes
 
 def _residual_row(path: str, axis: str, tests: ResidualTests) -> list[str]:
     low, high = tests.variance_ci95
-    command = "—"
+    command = "not tested"
     if tests.command_p is not None:
         command = f"{'follow' if tests.follows_command else 'free of'} them (p = {tests.command_p:.2g})"
     return [

@@ -3,9 +3,10 @@
 It is given for each axis and for the model as a whole, in plain words, with traffic lights that agree with every test.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.paired import QUANTITIES
 from rotorfit.assessment.rows import LENGTH, SPEED, HorizonErrors
 from rotorfit.assessment.whiteness import FINDING_LEVEL, LEVEL, narrows_intervals
@@ -14,6 +15,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.model import FROZEN, Axis, Model
 from rotorfit.core.residuals import ResidualTests
 from rotorfit.core.results import HORIZONS, Difference, PairedTest
+from rotorfit.estimation.methods import maximises_likelihood
 from rotorfit.reporting.words import and_list, chance, figure, sentences
 
 USEFUL = 2.0
@@ -21,6 +23,9 @@ USEFUL = 2.0
 
 USELESS = 1.1
 """Ratio below which the model's errors count as no smaller."""
+
+OVERLAPS = "the flight that moves this axis overlaps the training, and so proves nothing"
+"""Reason of an axis that only flights of the fit move."""
 
 RANK = ("yes", "limited", "unproven", "no", "missing")
 """Answers, from the best to the worst."""
@@ -59,6 +64,7 @@ def uses_of(
     known: Sequence[str],
     horizons: Sequence[float] = HORIZONS,
     misread: Sequence[Finding] = (),
+    spent: Collection[str] = (),
 ) -> tuple[Use, ...]:
     """Answers for every axis at every horizon.
 
@@ -73,6 +79,7 @@ def uses_of(
         known: The axes that have a model.
         horizons: Horizons of the answers [s].
         misread: Errors in the data of these flights.
+        spent: The axes that only flights of the fit move.
     """
     by_place = {(score.axis, f"{score.horizon:g}"): score for score in scores}
     against = next((test for test in paired if test.second == "hold"), None)
@@ -84,7 +91,8 @@ def uses_of(
             if axis not in known:
                 out.append(Use(axis, horizon, "missing", "there is no model of it"))
             elif score is None:
-                out.append(Use(axis, horizon, "unproven", "no flight that was not fitted moves this axis"))
+                reason = OVERLAPS if axis in spent else "no flight that was not fitted moves this axis"
+                out.append(Use(axis, horizon, "unproven", reason))
             elif score.velocity.get("model") is None:
                 out.append(Use(axis, horizon, "unproven", "no flight that was not fitted moves it for long enough"))
             elif wrong:
@@ -123,7 +131,7 @@ def _answer(times: float | None, found: Sequence[Difference | None]) -> tuple[st
     if "no_difference_shown" in verdicts:
         return "limited", "the difference from holding the velocity is not shown to be real at 95 %"
     if times < USEFUL:
-        return "limited", f"only {times:.1f} times better than holding the velocity; the flights may hardly move it"
+        return "limited", f"less than {USEFUL:g} times better than holding the velocity; the flights may hardly move it"
     return "yes", ""
 
 
@@ -250,6 +258,21 @@ class Verdict:
     weakest: tuple[Use, ...]
 
 
+def verdict_on(evidence: Evidence, speeds: Mapping[str, float] | None = None) -> Verdict:
+    """The verdict on a model from its evidence; the flights of the fit do not count.
+
+    Args:
+        evidence: Evidence of the model.
+        speeds: As for `verdict_of`.
+    """
+    validation = evidence.case.validation
+    scored = zip(validation.flights, validation.residuals, strict=False)
+    residuals = [tests for flight, tests in scored if not flight.fitted]
+    return verdict_of(
+        evidence.case.model, evidence.scores, validation.paired, residuals, speeds, validation.misread, validation.spent
+    )
+
+
 def verdict_of(
     model: Model,
     scores: Sequence[HorizonErrors],
@@ -257,6 +280,7 @@ def verdict_of(
     residuals: Sequence[Mapping[str, ResidualTests]] = (),
     speeds: Mapping[str, float] | None = None,
     misread: Sequence[Finding] = (),
+    spent: Collection[str] = (),
 ) -> Verdict:
     """Judges a model by its scores on validation flights, its statuses, its findings and the tests of its residuals.
 
@@ -268,12 +292,13 @@ def verdict_of(
         model: The model, with its findings.
         scores: As `scores_of` gives them.
         paired: Paired tests of the model against the baselines.
-        residuals: Axis to its tests, one mapping for each validation flight.
+        residuals: Axis to its tests, one mapping for each flight that was not fitted.
         speeds: Axis to the speed up to which it was tested [m/s or rad/s].
         misread: Errors in the data of the validation flights: what they touch is not proven, whatever the scores.
+        spent: The axes that only flights of the fit move.
     """
     known = [axis for axis in AXES if model.axes[axis].predictor is not None]
-    uses = uses_of(scores, paired, known, misread=misread)
+    uses = uses_of(scores, paired, known, misread=misread, spent=spent)
     horizon = min({use.horizon for use in uses}, key=lambda h: abs(h - PLANNING))
     lights = tuple(
         _light(
@@ -286,7 +311,8 @@ def verdict_of(
     )  # fmt: skip
     wanted = [axis for axis in AXES if axis in model.card.command or axis in known]
     together = weakest(uses, wanted)
-    whole = _whole(lights, together, uses, wanted, horizon)
+    left_out = [axis for axis in wanted if model.axes[axis].status["input"] == "not_fitted"]
+    whole = _whole(lights, together, uses, wanted, horizon, left_out)
     return Verdict(_headline(lights), whole, _advice(lights), horizon, lights, uses, together)
 
 
@@ -306,7 +332,11 @@ def _light(
         (reason,) = sentences([STATUS.get(status, "no numbers")])
         return Light(axis, colour, "no model", None, (), (Lamp("coefficients", colour, "unknown", reason),))
     unjudged = Lamp("residuals", "grey", "not judged", "Nor are the predictions.")
-    lamps = (_predictions(use), _coefficients(model, axis), unjudged if use.remedy else _residuals(tests))
+    lamps = (
+        _predictions(use),
+        _coefficients(model, axis),
+        unjudged if use.remedy else _residuals(tests, untried(model, axis)),
+    )
     colour = min((lamp.colour for lamp in lamps if lamp.colour != "grey"), key=GRAVITY.index)
     unit, factor = SPEED[axis]
     error = None if use.velocity is None else f"{figure(factor * use.velocity)} {unit}"
@@ -347,12 +377,17 @@ def _coefficients(model: Model, axis: str) -> Lamp:
     return Lamp("coefficients", "green", "known", "Each has an interval, and no finding warns.")
 
 
-def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
-    """Lamp for the residuals: whether a test on any flight rejects the model at 95 %, or their variance has changed."""
+def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
+    """Lamp for the residuals: whether a test on any flight rejects the model at 95 %, or their variance has changed.
+
+    Args:
+        tests: Of flights that were not fitted.
+        richer: Whether a richer law could be chosen, and none was tried.
+    """
     found = [(each.white_p, "not white") for each in tests]
     found += [(each.command_p, "following past commands") for each in tests if each.command_p is not None]
     if not found:
-        return Lamp("residuals", "grey", "not tested", "No flight that moves this axis is long enough for the tests.")
+        return Lamp("residuals", "grey", "not tested", "No flight that was not fitted moves this axis for long enough.")
     against = sorted(each for each in found if each[0] < LEVEL)
     ratios = [each.variance_ratio for each in tests if not 1 / OTHER <= each.variance_ratio <= OTHER]
     if not against and ratios:
@@ -372,13 +407,14 @@ def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
         return Lamp("residuals", "yellow", "in doubt", sentences([text])[0], advice)
     means = "the model leaves out part of the answer, other motion may be predicted worse"
     text = f"{what} ({chance(p)}): {means if follows else 'something regular is left that the commands do not explain'}"
-    return Lamp("residuals", "yellow", "not clean", sentences([text])[0], _with_residuals(tests, bool(follows)))
+    return Lamp("residuals", "yellow", "not clean", sentences([text])[0], _with_residuals(tests, bool(follows), richer))
 
 
-def _with_residuals(tests: Sequence[ResidualTests], follows: bool) -> str:
+def _with_residuals(tests: Sequence[ResidualTests], follows: bool, richer: bool) -> str:
     """What to do with a model whose residuals are not clean."""
     if follows:
-        return "use it for motion like that of these flights only; for other motion let a richer law try, see below"
+        more = "; for other motion let a richer law try, see below" if richer else ""
+        return f"use it for motion like that of these flights only{more}"
     factor = max((max(each.optimism.values(), default=1.0) for each in tests if narrows_intervals(each)), default=1.0)
     if factor > 1:
         return f"use it, but multiply the half widths of its intervals by {factor:.2f}; {TOO_SURE}"
@@ -387,6 +423,11 @@ def _with_residuals(tests: Sequence[ResidualTests], follows: bool) -> str:
 
 def _of_residuals(finding: Finding) -> bool:
     return finding.code.startswith("residuals_")
+
+
+def untried(model: Model, axis: str) -> bool:
+    """Whether a richer law of an axis could be chosen, and none was tried."""
+    return maximises_likelihood(model.method) and not model.axes[axis].candidates
 
 
 def _advice(lights: Sequence[Light]) -> tuple[str, ...]:
@@ -504,7 +545,12 @@ def _headline(lights: Sequence[Light]) -> str:
 
 
 def _whole(
-    lights: Sequence[Light], together: Sequence[Use], uses: Sequence[Use], wanted: Sequence[str], horizon: float
+    lights: Sequence[Light],
+    together: Sequence[Use],
+    uses: Sequence[Use],
+    wanted: Sequence[str],
+    horizon: float,
+    left_out: Sequence[str],
 ) -> str:
     """The answer for all axes that the card commands, taken together."""
     if all(light.colour == "grey" for light in lights):
@@ -513,11 +559,13 @@ def _whole(
     lacking = [use for use in uses if use.horizon == horizon and use.answer == now.answer and use.axis in wanted]
     named = and_list([use.axis for use in lacking])
     if now.answer == "missing":
-        return f"As a whole: no. There is no model of {named}, which can be commanded."
+        why = f": the fit left out {and_list(left_out)}" if left_out else ""
+        return f"As a whole: no. There is no model of {named}, which can be commanded{why}."
     if misread := and_list([use.axis for use in lacking if use.remedy]):
         return f"As a whole: not proven. The flights were misread in what concerns {misread}: see the findings."
     if now.answer == "unproven":
-        return f"As a whole: not proven. No flight that was not fitted moves {named}, or not for long enough."
+        more = " What overlaps the training does not count." if any(u.reason == OVERLAPS for u in lacking) else ""
+        return f"As a whole: not proven. No flight that was not fitted moves {named}, or not for long enough.{more}"
     if forbidden := _because(lights, "red"):
         return f"As a whole: no, because of {forbidden}."
     doubted, furthest = _because(lights, "yellow"), reach(together)

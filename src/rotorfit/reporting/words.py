@@ -41,7 +41,8 @@ TERMS: Mapping[str, str] = MappingProxyType(
         " 0 this model is better.",
         "at 95 %": "better, worse: the difference is no chance; no difference shown: it may be; too short: unknown.",
         "predictions": "How many starts, 0.5 s apart, were predicted.",
-        "Ljung-Box": "Sum of squared autocorrelations; near the number of lags where the residuals are white.",
+        "Ljung-Box": "Sum of squared autocorrelations; near the number of lags where residuals are white and of one "
+        "size. The p-value beside them allows for gusts, and may differ.",
         "past commands": "Whether the residuals follow commands from before them: then part of the answer is left out.",
         "variance": "Size of the residuals beside that of the fit; more: this flight has more wind or noise.",
         "too narrow by": "Factor by which the intervals would be too narrow for residuals of this colour.",

@@ -91,12 +91,11 @@ def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
         if row.axis not in axes or not (model.axes[row.axis].predictor or first or row.paper is not None):
             continue
         combined = row.kind == "combination"
-        unknown = row.value is None or (combined and ends == (None, None))
         both = (interval_text(ends), interval_text(row.flight or ends)) if two else (interval_text(ends),)
         out.add_row(
             row.axis if first else "",
             _words(row.name),
-            "-" if unknown or row.value is None else f"{row.value:g}" if row.given else number_text(row.value, ends),
+            "-" if row.value is None else f"{row.value:g}" if row.given else number_text(row.value, ends),
             *(("by the law", "")[: len(both)] if row.given else both),
             row.unit,
             "" if row.paper is None else f"{row.paper:.3g}",

@@ -28,8 +28,8 @@ from rotorfit.exports.formats import FORMATS
 from rotorfit.flights.columns import clock_of, sample_count, series_of, source_of
 from rotorfit.flights.stamps import rate, stamps_of
 from rotorfit.reporting.charts import horizon_charts, profile_charts
-from rotorfit.reporting.tables import coefficient_table, pooled_rows, residual_rows, score_rows
-from rotorfit.reporting.verdict import verdict_of
+from rotorfit.reporting.tables import coefficient_table, flight_names, pooled_rows, residual_rows, score_rows
+from rotorfit.reporting.verdict import verdict_on
 from rotorfit.reporting.views import Chart, FlightView, flight_view
 from rotorfit.version import __version__
 
@@ -150,7 +150,8 @@ def command_unit(card: Card, axis: str) -> str:
 def result_mapping(evidence: Evidence) -> dict[str, Any]:
     """The result of a fit as the page shows it."""
     model, validation, scores = evidence.case.model, evidence.case.validation, evidence.scores
-    verdict = verdict_of(model, scores, validation.paired, validation.residuals, misread=validation.misread)
+    verdict = verdict_on(evidence)
+    roles = ["training" if flight.fitted else "validation" for flight in validation.flights]
     return {
         "headline": verdict.headline,
         "whole": verdict.whole,
@@ -164,13 +165,15 @@ def result_mapping(evidence: Evidence) -> dict[str, Any]:
         "findings": [asdict(finding) for finding in told_together((*validation.misread, *model.findings))],
         "pooled": pooled_rows(scores),
         "scores": score_rows(validation) if len(validation.flights) > 1 else [],
-        "residuals": residual_rows([motion.path for motion in evidence.validation], validation.residuals),
+        "residuals": residual_rows(flight_names(validation), validation.residuals),
         "horizons": [chart_mapping(chart) for chart in horizon_charts(scores, validation.paired)],
         "profiles": [chart_mapping(chart) for chart in profile_charts(model)],
         "flights": [
             _view_mapping(flight_view(motion, role, MOST_POINTS))
-            for role, motions in (("validation", evidence.validation), ("training", evidence.training))
-            for motion in motions
+            for role, motion in (
+                *(zip(roles, evidence.validation, strict=False)),
+                *(("training", motion) for motion in evidence.training),
+            )
         ],
         "notes": [
             {"path": source.path, "span": source.span, "texts": [note.text for note in source.notes]}
