@@ -197,6 +197,7 @@ def test_a_band_wider_than_any_correlation_is_no_band() -> None:
 
     assert yaw.summary == "yaw: not tested: the coefficients are not known well enough."
     assert np.isnan(yaw.lines[1].y).all()
+    assert "0.00" in [tick.text for tick in draw_chart(yaw, 300, 200).y_ticks]  # where the bars begin
     assert "±" not in "".join(stop.text for stop in draw_chart(yaw, 300, 200).stops)
     assert "(0.45 expected by chance)" in z.summary
 

@@ -262,7 +262,7 @@ def _y_range(chart: Chart) -> tuple[float, float]:
     if chart.y_range is not None:
         return chart.y_range
     values = np.concatenate([np.array([level for level, _ in chart.levels]), *(line.y for line in chart.lines)])
-    values = values[np.isfinite(values)]
+    values = np.append(values[np.isfinite(values)], [0.0] * (chart.kind == "correlation"))  # bars begin at 0
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
     if chart.y_log:
         return 0.7 * low, 1.4 * high

@@ -16,7 +16,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 from rotorfit.reporting.drawing import draw_chart, drawn_rows
 from rotorfit.reporting.frequency import response_charts
-from rotorfit.reporting.next_steps import next_steps, wanted_chart
+from rotorfit.reporting.next_steps import ROOM, next_steps, wanted_chart
 from rotorfit.reporting.panels import FlightPanels, Panel
 from rotorfit.reporting.reproduce import recipe_of
 from rotorfit.reporting.side_by_side import coefficients_side_by_side, flights_side_by_side, leads
@@ -161,8 +161,10 @@ def _residuals(page: Contents) -> dict[str, Any]:
 
 def _next(page: Contents) -> dict[str, Any]:
     wanted = [wanted_chart(case) for case in page.cases]
+    steps = [next_steps(case, verdict) for case, verdict in zip(page.cases, page.verdicts, strict=True)]
     return {
-        "steps": [next_steps(case, verdict) for case, verdict in zip(page.cases, page.verdicts, strict=True)],
+        "steps": steps,
+        "room_named": any(ROOM in step.command for mine in steps for step in mine),
         "wanted": [panel for chart in wanted if chart for panel in _panels([chart], 420)],
     }
 
