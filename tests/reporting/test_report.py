@@ -31,7 +31,7 @@ from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.files.cards import builtin_cards
 from rotorfit.reporting import write_figures, write_report
 from rotorfit.reporting.drawing import draw_chart, log_ticks, peaks, ticks
-from rotorfit.reporting.next_steps import Step, next_steps, wanted_chart
+from rotorfit.reporting.next_steps import Step, beside_target, next_steps, wanted_chart
 from rotorfit.reporting.reproduce import card_text, recipe_of
 from rotorfit.reporting.side_by_side import coefficients_side_by_side, flights_side_by_side, leads
 from rotorfit.reporting.tables import paired_rows, score_rows
@@ -705,8 +705,11 @@ def test_accuracy_beside_the_target_is_the_models_own_and_what_is_not_known_miss
     assert shares["x damping"] == pytest.approx(0.04 / (2 * 1.96) / (0.05 * wide.damping), rel=1e-3)
     assert shares["x delay"] == pytest.approx(0.8)
     assert shares["y delay"] is None
-    assert chart.summary.startswith("3 of 12 coefficients miss the target: x input gain, x damping;")
-    assert chart.summary.endswith("not known: y delay.")
+    assert chart.summary == ("3 of 12 coefficients miss the target: x input gain, x damping, y delay (not known).")
+
+
+def test_a_delay_that_the_law_does_without_is_no_coefficient_to_learn() -> None:
+    assert set(beside_target(replace(known_axis("x"), structure="first_order"))) == {"input", "damping"}
 
 
 def steps_of(model: Model, *tests: dict[str, ResidualTests]) -> tuple[Step, ...]:

@@ -157,15 +157,13 @@ def residual_charts(white: Mapping[str, Correlogram], free: Mapping[str, Correlo
 
 def _correlogram_chart(axis: str, found: Correlogram, title: str, label: str, reading: str) -> Chart:
     told = found.band < 1  # no correlation is larger: a wider band says nothing
-    outside, n, band = (
-        int(np.sum(np.abs(found.value) > found.band)),
-        int(told.sum()),
-        np.where(told, found.band, np.nan),
-    )
+    n, band = int(told.sum()), np.where(told, found.band, np.nan)
     summary = "not tested: the coefficients are not known well enough"
     if n:
-        size = f"of about ±{float(np.median(found.band[told])):.3f} "
-        summary = f"{outside} of {n} lags lie outside the 95 % band {size}({0.05 * n:.2g} expected by chance)"
+        outside, size = int(np.sum(np.abs(found.value) > band)), float(np.median(band[told]))
+        summary = (
+            f"{outside} of {n} lags lie outside the 95 % band of about ±{size:.3f} ({0.05 * n:.2g} expected by chance)"
+        )
     return Chart(
         kind="correlation",
         axis=axis,

@@ -10,6 +10,7 @@ from rotorfit.assessment.case import Case
 from rotorfit.core.errors import PlanError
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
+from rotorfit.core.laws import given_by_law
 from rotorfit.core.model import COEFFICIENTS, FROZEN, NORMAL, Axis, Model
 from rotorfit.estimation.methods import maximises_likelihood
 from rotorfit.planning.belief import belief_from_model
@@ -154,10 +155,11 @@ def _flight(case: Case, what: str, why: str, axes: Sequence[str]) -> Step:
 
 
 def beside_target(axis: Axis) -> Mapping[str, float]:
-    """Coefficient to its standard error for the vehicle over the target; infinite where it is not known."""
+    """Estimated coefficient to its standard error for the vehicle over the target; infinite where it is not known."""
     if axis.predictor is None:
         return {}
-    return {name: _beside_target(axis, name) for name in COEFFICIENTS}
+    given = given_by_law(axis.structure)
+    return {name: _beside_target(axis, name) for name in COEFFICIENTS if name not in given}
 
 
 def _beside_target(axis: Axis, name: str) -> float:
@@ -182,10 +184,7 @@ def wanted_chart(case: Case) -> RowChart | None:
     }
     if not shares:
         return None
-    unknown = [name for name, share in shares.items() if not np.isfinite(share)]
-    beyond = [name for name, share in shares.items() if share > 1 and name not in unknown]
-    told = f"{len(beyond) + len(unknown)} of {len(shares)} coefficients miss the target"
-    parts = [", ".join(beyond), *([f"not known: {', '.join(unknown)}"] if unknown else [])]
+    missed = [f"{name}{'' if np.isfinite(share) else ' (not known)'}" for name, share in shares.items() if share > 1]
     return RowChart(
         title="Standard errors relative to the target",
         x_label="standard error / target",
@@ -193,7 +192,7 @@ def wanted_chart(case: Case) -> RowChart | None:
         reading="A dot right of the line is a coefficient that misses its target; far left of it nothing is gained. "
         "A bar without a dot is one that is not known. The line is the target of a controller: 2 % of the gain, 5 % "
         "of the damping, 5 ms.",
-        summary=": ".join([told, *(["; ".join(filter(None, parts))] if beyond or unknown else [])]) + ".",
+        summary=f"{len(missed)} of {len(shares)} coefficients miss the target{': ' * bool(missed)}{', '.join(missed)}.",
         x_log=True,
         level=(1.0, "target"),
     )

@@ -153,7 +153,8 @@ def _residuals(page: Contents) -> dict[str, Any]:
         "correlations": [_panels(c for c in every if c.y_label == "autocorrelation") for every in charts],
         "followings": [_panels(c for c in every if c.y_label != "autocorrelation") for every in charts],
         "residual_rows": [
-            residual_rows(flight_names(each.case.validation) or each.tested_on, each.tests) for each in page.evidences
+            residual_rows(flight_names(each.case.validation) if each.case.flights else each.tested_on, each.tests)
+            for each in page.evidences
         ],
         "tested_on": "validation" if page.cases[0].flights else "training",
     }

@@ -171,7 +171,7 @@ def result_mapping(evidence: Evidence) -> dict[str, Any]:
         "flights": [
             _view_mapping(flight_view(motion, role, MOST_POINTS))
             for role, motion in (
-                *(zip(roles, evidence.validation, strict=False)),
+                *zip(roles, evidence.validation, strict=False),
                 *(("training", motion) for motion in evidence.training),
             )
         ],
