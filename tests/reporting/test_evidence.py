@@ -210,7 +210,7 @@ def test_the_models_delay_has_no_band_where_a_whole_turn_of_phase_is_possible() 
     compared = ResponseComparison(flight, shape + 0j, np.array([[0.9, 1.1]] * 2), np.array([1050.0, 0.01]))
     gain, delay = response_charts([{"yaw": compared}])
 
-    assert gain.y_label == "gain [rad/s per unit of command]"
+    assert gain.y_label == "gain [rad/s per command]"
     assert [np.isfinite(line.y).tolist() for line in delay.lines if line.role == "paper"] == [[False, True]] * 2
 
 

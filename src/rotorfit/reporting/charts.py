@@ -120,7 +120,7 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
         axis=name,
         title=f"{name}: why this delay",
         x_label="delay [s]",
-        y_label="log-likelihood − the chosen one's",
+        y_label="log-likelihood − chosen",
         x=delay,
         lines=(Line("profile likelihood", "model", value),),
         reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "

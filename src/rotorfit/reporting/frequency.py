@@ -107,7 +107,7 @@ def _chart(comparison: ResponseComparison, what: str) -> Chart:
         axis=flight.axis,
         title=f"{flight.axis}: {what} over frequency",
         x_label="frequency [rad/s]",
-        y_label=f"gain [{POSE_UNITS[flight.axis]}/s per unit of command]" if gain else "delay [ms]",
+        y_label=f"gain [{POSE_UNITS[flight.axis]}/s per command]" if gain else "delay [ms]",
         x=x,
         lines=tuple(lines),
         reading="What the flight itself answers to a sine of each frequency, without any law, and thin lines for its "
