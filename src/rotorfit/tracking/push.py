@@ -40,6 +40,10 @@ estimate that follows the acceleration to the slow pole of a climb loop with an 
 LARGE = 10.0
 """Standard deviation of a push beforehand, in units of `EXPECTED`: half of the weight."""
 
+LATER = (0.0, 0.1, 0.2)
+"""By how much answers may come later [s], all equally likely: to first order alone, 0.1 s of delay of a quick axis
+looks more like a push."""
+
 SHAPE = 0.2
 """Relative standard deviation of a push because it does not fade exactly as exp(-t / T)."""
 
@@ -79,8 +83,8 @@ def odds_of_a_push(scores: Scores, since: tuple[float, float]) -> float:
     """
     instants, known = instants_of(scores, since), scores.rows.shape[1] - 1
     first = [int(at) for at in np.searchsorted(scores.time, instants)]
-    shifts = dict.fromkeys(first)
-    of_shifts = np.array([products_of(scores, at, scores.tested[at:]) for at in shifts])
+    shifts = [(at, scores.begun(float(scores.time[at]), later)[at:]) for at in dict.fromkeys(first) for later in LATER]
+    of_shifts = np.array([products_of(scores, at, shapes) for at, shapes in shifts])
     of_pushes = np.array(
         [
             products_of(scores, at, push)
@@ -90,8 +94,8 @@ def odds_of_a_push(scores: Scores, since: tuple[float, float]) -> float:
     )
     log, solution = log_posterior(of_shifts, known)
     best = int(np.argmax(log))
-    at = list(shifts)[best]
-    shifted = mean_square(scores, at, scores.tested[at:], solution[best])
+    at, shapes = shifts[best]
+    shifted = mean_square(scores, at, shapes, solution[best])
     log, solution = log_posterior(of_pushes, known)
     best = int(np.argmax(log))
     i, k = divmod(best, LEARNS.size)

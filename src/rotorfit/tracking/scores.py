@@ -103,6 +103,8 @@ class Scores:
             shape (N, 3); shape (N, 0) for other axes.
         pushed: Gives the whitened positions of an axis of `TRIMMED` after pushes at an instant [s] that fade with some
             time constants, shape (T,) [s]: in the unit of the jolts, shape (T, N).
+        begun: Gives the sensitivities `tested` to shifts that begin at an instant [s], shape (N, P): the motion goes on
+            from the place and velocity that it has then, zero before. That of a delay is its mean over the shift [s].
         density: Log-density of each row under gusts as strong as in the regime, and under each of `GUST_POWERS`, up to
             a constant, shape (N, 1 + L).
         under_gusts: The scores under stronger gusts, up to the strongest that the last seconds may have had.
@@ -120,6 +122,7 @@ class Scores:
     doubt: Array
     jolts: Array
     pushed: Callable[[float, Array], Array]
+    begun: Callable[[float, float], Array]
     density: Array
     under_gusts: "tuple[Scores, ...]" = ()
     gusts: int = 0
@@ -218,6 +221,7 @@ class _Whitened:
         (self._rec,), point = first.records, first.optimum.point
         self._estimates, self._doubts = estimates, doubts
         mean, sensitivity = response(self._rec, point, 0, point.start)
+        self._sensitivity = sensitivity
         parts = [(self._rec.position - mean)[:, None], sensitivity, _jolts(self._rec, estimates)]
         self._columns = np.concatenate(parts, axis=1)
         self._levels = np.repeat(point.levels[None], 1 + len(GUST_POWERS), axis=0)
@@ -247,30 +251,35 @@ class _Whitened:
         rows = rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
         innovation, columns = rows[:, 0], rows[:, 1:]
         trim, start = point.coefficients, point.coefficients + K
-        tested, names, scale, doubt, own = [], [], [], [], []
+        names, scale, doubt, own, place, units = [], [], [], [], [], []
         for axis, estimate in self._estimates:
             k = estimate.place
             for name in ("input", "damping", "delay", *(extra.name for extra in estimated_extras(estimate.optimum, k))):
                 size = EXPECTED.get(name, EXPECTED_OTHER)
-                unit = size * (float(point.gain[k]) if name == "input" else 1.0)
-                tested.append(columns[:, point.place(name, k)] * unit)
+                units.append(size * (float(point.gain[k]) if name == "input" else 1.0))
+                place.append(point.place(name, k))
                 names.append(f"{axis}.{name}")
                 scale.append(size)
                 doubt.append(max(self._doubts.get(axis, {}).get(name, 0.0), LEAST_DOUBT.get(name, 0.0)) / size)
             if axis in TRIMMED:
-                tested.append(columns[:, trim + k] * EXPECTED["trim"])
+                place.append(trim + k)
+                units.append(EXPECTED["trim"])
                 names.append(f"{axis}.trim")
                 scale.append(EXPECTED["trim"])
                 doubt.append(LEAST_DOUBT["trim"] / EXPECTED["trim"])
                 own.append(k)
+        at, unit, delays = np.array(place), np.array(units), np.array([name.endswith(".delay") for name in names])
+        damping = float(np.exp(point.log_damping.mean()))
         segment = np.repeat(self._rec.segment, K)
         free = [columns[:, trim + k] for k in range(K) if k not in own]
         free += [columns[:, start + k] * (segment == s) for k in range(K) for s in range(self._rec.starts.size)]
         time = np.repeat(self._rec.block_time, K)
         return Scores(
-            time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale),
+            time, innovation, columns[:, at] * unit, np.column_stack(free), tuple(names), np.array(scale),
             np.array(doubt), columns[:, start + K :],
-            partial(_pushed, self._rec, self._estimates[0][1], levels, self._valid), self._density,
+            partial(_pushed, self._rec, self._estimates[0][1], levels, self._valid),
+            partial(_begun, self._rec, self._sensitivity, at, unit, delays, damping, levels, self._valid),
+            self._density,
         )  # fmt: skip
 
 
@@ -333,6 +342,46 @@ def _pushed(rec: Record, estimate: Estimate, levels: Array, valid: Array, instan
     """See `Scores.pushed`. A function and no method: scores that held their likelihood would be freed late."""
     after = EXPECTED["trim"] * _after_a_push(estimate, rec.block_time[:, None] - instant, fades)
     return np.asarray(whiten(rec, after[:, :, None], levels)[0][:, :, 0].T * valid)
+
+
+def _begun(
+    rec: Record, sensitivity: Array, place: Indices, unit: Array, delays: Mask, damping: float, levels: Array,
+    valid: Array, instant: float, later: float,
+) -> Array:  # fmt: skip
+    """See `Scores.begun`.
+
+    An answer that comes later by d is the same answer, moved: the difference is d times the mean sensitivity to the
+    delay over the last d. What the sensitivity would do from its place and velocity at the instant is taken off it.
+
+    Args:
+        rec: The flight.
+        sensitivity: Of the positions, shape (B, C, K).
+        place: Columns of the parameters that may change, shape (P,).
+        unit: Their units, shape (P,).
+        delays: Which of them are delays, shape (P,).
+        damping: Of the velocity that is left [1/s].
+        levels, valid: As for `_pushed`.
+        instant: When the shifts begin [s].
+        later: By how much the delays shift [s].
+    """
+    moved, t = sensitivity[:, place] * unit[:, None], rec.block_time - instant
+    if abs(later) > 1e-3:
+        moved[:, delays] = _mean_over_the_last(later, t, moved[:, delays])
+    at = int(np.clip(np.searchsorted(t, 0.0), 1, t.size - 1))
+    velocity, gone = (moved[at] - moved[at - 1]) / (t[at] - t[at - 1]), np.maximum(t, 0.0)[:, None, None]
+    moved = moved - moved[at - 1] + velocity * (t[at - 1] + np.expm1(-damping * gone) / damping)
+    rows = whiten(rec, np.where(gone > 0, moved, 0.0), levels)[0] * valid[:, None, None]
+    return np.asarray(rows.transpose(0, 2, 1).reshape(-1, place.size))
+
+
+def _mean_over_the_last(duration: float, time: Array, values: Array) -> Array:
+    """Means of series, shape (B, P, K), over a time before each row, or after it if that is negative [s]."""
+    steps = np.diff(time, prepend=2 * time[0] - time[1])
+    total = np.cumsum(values * steps[:, None, None], axis=0)
+    out = np.empty_like(values)
+    for p, k in np.ndindex(values.shape[1:]):
+        out[:, p, k] = (total[:, p, k] - np.interp(time - duration, time, total[:, p, k])) / duration
+    return out
 
 
 def _after_a_push(estimate: Estimate, t: Array, fades: Array) -> Array:
