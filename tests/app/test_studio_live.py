@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +11,9 @@ from starlette.testclient import TestClient
 
 from rotorfit.app.loopback.gate import FRAMED
 from rotorfit.app.web.routes import Studio
-from studio_room import session_of
+from rotorfit.core.log import Sample
+from rotorfit.flying.recorder import record
+from studio_room import client_of, opened, session_of
 
 SIM = {"link": "sim,gusts=0.2", "card": ""}
 
@@ -42,6 +45,51 @@ def test_a_simulated_vehicle_is_followed_and_becomes_a_log(studio: Studio, page:
     assert any("the simulated pilot" in line for line in said)
     assert any("ended: Ctrl-C" in line for line in said)
     assert [log["name"] for log in session_of(page)["uploads"]] == ["live-1.mcap"]
+
+
+def heard(path: Path) -> None:
+    """A recording as a tracker leaves it that was killed while it listened."""
+    recorder = record(path, {})
+    for n in range(100):
+        stamp = 20_000_000 * n
+        recorder.command(stamp, (0.1, 0, 0, 0))
+        recorder.sample(Sample("pose", stamp, stamp, (0.01 * n, 0, 1, 1, 0, 0, 0)))
+    recorder.close()
+    path.write_bytes(path.read_bytes()[:-50])
+
+
+def test_a_recording_outlives_a_studio_that_is_closed_while_it_follows(tmp_path: Path) -> None:
+    with opened(tmp_path / "room") as studio:
+        assert client_of(studio).post("/api/live", json=SIM).status_code == 200
+        until(lambda: studio.follower.feed._lines)
+    with opened(tmp_path / "room") as studio:
+        (log,) = session_of(client_of(studio))["uploads"]
+        assert client_of(studio).get(f"/api/logs/{log['id']}").status_code == 200
+        assert studio.workspace.recordings() == []
+
+
+def test_a_studio_takes_in_what_a_killed_one_recorded_and_sets_aside_what_cannot_be_read(tmp_path: Path) -> None:
+    with opened(tmp_path / "room") as studio:
+        heard(studio.workspace.recording())
+        studio.workspace.recording().write_bytes(b"\x89MCAP0\r\n")
+    for told in (True, False):
+        with opened(tmp_path / "room") as studio:
+            now = session_of(client_of(studio))
+            assert [one["name"] for one in now["uploads"]] == ["live-1.mcap"]
+            assert ("live-2.mcap" in now["told"]) is told
+            assert studio.workspace.recording().name == "live-2.mcap"
+    assert (tmp_path / "room" / "set-aside" / "1" / "live-2.mcap").exists()
+
+
+def test_a_recording_waits_while_the_session_has_no_room(studio: Studio, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = studio.workspace.recording()
+    heard(place)
+    with monkeypatch.context() as patched:
+        patched.setattr("rotorfit.app.web.workspace.MOST_LOGS", 0)
+        assert str(place) in studio._taken_in(place)
+    assert place.exists()
+    assert studio._taken_in(place) == "what was heard is the log live-1.mcap"
+    assert not place.exists()
 
 
 def test_a_vehicle_that_cannot_be_listened_to_says_so_and_leaves_no_log(page: TestClient) -> None:

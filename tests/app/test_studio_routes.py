@@ -1,5 +1,6 @@
 """The API of the studio: from a log to a model that is proved; what is refused; what another page has changed."""
 
+import json
 import os
 import signal
 import time
@@ -278,12 +279,16 @@ def test_the_model_is_that_of_the_library_with_the_same_card_and_spans(fitted: t
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_every_export_is_the_one_of_the_library(fitted: tuple[Studio, TestClient], name: str) -> None:
     studio, page = fitted
-    path = studio.workspace.folder / "fits" / "1" / "model.json"
+    folder = studio.workspace.folder / "fits" / "1"
+    path = folder / "model.json"
+    trained, proof = (json.loads((folder / f"{file}.json").read_text()) for file in ("trained", "validation"))
 
     answer = page.get(f"/api/fits/1/exports/{name}")
 
     with suppress(RotorfitError):
-        assert answer.text == export(path, name, name="model_1").text
+        assert answer.text == export(path, name, name="model_1", trained=trained, validation=proof).text
+        assert "speeds up to" in answer.text
+        assert "x on logs/2/proof.bag: 0.5 s" in answer.text
         assert answer.headers["content-disposition"] == f'attachment; filename="model_1{FORMATS[name].suffix}"'
         return
     with pytest.raises(RotorfitError) as refusal:

@@ -22,6 +22,7 @@ from click.testing import CliRunner
 from flights import CARD, by_hand
 from models import model_of
 from rotorfit.app.cli import main
+from rotorfit.assessment.validation import to_mapping
 from rotorfit.core.errors import ExportError
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model, Predictor, unknown_axis
@@ -568,24 +569,71 @@ def test_what_the_flights_of_the_fit_cover_is_told_axis_by_axis() -> None:
 
     told = trained_on([replace(flight, axes=("x",))])
 
-    assert told == {"x": "speeds up to 0.5 m/s, commands up to 0.3 (99 % of the samples)"}
+    assert told == {"x": (pytest.approx(0.5), 0.3)}
+
+
+def test_a_vehicle_that_mostly_hovers_was_commanded_all_the_same() -> None:
+    t = np.arange(0.0, 10.0, 0.02)
+    flight = by_hand(t, np.outer(t, [0.5, 0.0, 0.0, 0.0]), t, np.outer(t < 0.05, [0.3, 0.0, 0.0, 0.0]))
+
+    assert trained_on([replace(flight, axes=("x",))])["x"][1] == 0.3
+
+
+@pytest.mark.parametrize(("physical", "said"), [(False, "0.23 of the limit"), (True, "0.0803 rad")])
+def test_commands_of_the_training_are_told_in_the_commands_of_the_export(
+    model: Model, physical: bool, said: str
+) -> None:
+    assert f"commands up to {said}" in unwrapped(
+        export(model, "numpy", physical=physical, trained={"x": (0.744, 0.23)}).text
+    )
+
+
+def unwrapped(text: str) -> str:
+    return " ".join(text.replace("#", " ").split())
 
 
 def test_scores_are_those_of_the_validation_or_of_the_models_own_proof(model: Model) -> None:
     axes = {axis: AxisScore({"1": Horizon(0.0123, 0.0456, 20)}, 90.0) for axis in AXES}
     flight = FlightScores("proof.csv", (0.0, 60.0), axes, "predicted", moved=("x",))
 
-    lines = scores(model, Validation((flight,), {}, residuals=({},)))
+    known, proof = ({"flights": [asdict(one)]} for one in (flight, replace(flight, fitted=True)))
 
-    assert lines == ["x on proof.csv: 1 s 0.0123 m/s and 0.0456 m"]
-    proof = {"flights": [asdict(replace(flight, fitted=True))]}
-    assert scores(replace(model, leave_one_out=proof), None) == [
-        f"{lines[0]}; the model was fitted to part of it, which proves nothing"
-    ]
-    assert scores(model, Validation((flight,), {}, residuals=({},)), ("z",)) == [
-        "None: no flight was long enough to be predicted."
-    ]
-    assert "Not known" in scores(model, None)[0]
+    (line,) = scores(known, AXES)
+    assert line == "x on proof.csv: 1 s 0.0123 m/s and 0.0456 m"
+    assert scores(proof, AXES) == [f"{line}; the model was fitted to part of it, which proves nothing"]
+    assert scores(known, ("z",)) == ["None: no flight was long enough to be predicted."]
+    assert "Not known" in scores(None, AXES)[0]
+    own = f"{line}; the model was fitted to part of it, which proves nothing"
+    assert own in unwrapped(export(replace(model, leave_one_out=proof), "numpy").text)
+
+
+def test_an_axis_without_a_position_is_told_by_its_velocity() -> None:
+    axes = {"x": AxisScore({"1": Horizon(0.0123, None, 20)}, 90.0)}
+    flight = FlightScores("proof.csv", (0.0, 60.0), axes, "predicted", moved=("x",))
+
+    assert scores({"flights": [asdict(flight)]}, AXES) == ["x on proof.csv: 1 s 0.0123 m/s"]
+
+
+@pytest.mark.parametrize("physical", [False, True])
+def test_what_is_scored_is_what_stands_in_the_file(model: Model, physical: bool) -> None:
+    axes = {axis: AxisScore({"1": Horizon(0.0123, 0.0456, 20)}, 90.0) for axis in AXES}
+    proof = Validation((FlightScores("proof.csv", (0.0, 60.0), axes, "predicted", moved=("x",)),), {}, residuals=({},))
+    seen: list[Model] = []
+
+    def score(exported: Model) -> Validation:
+        seen.append(exported)
+        return proof
+
+    made = export(model, "numpy", dt=1.0, round_delay=True, physical=physical, score=score)
+    known, asked = made.model.axes["x"].predictor, seen[0].axes["x"].predictor
+    assert known is not None
+    assert asked is not None
+    assert (asked.input, asked.delay, known.delay) == (3.7, 0.0, 0.0)
+    assert known.input == pytest.approx(3.7 / (np.deg2rad(20) if physical else 1))
+    assert "x on proof.csv" in made.text
+    old = export(model, "numpy", dt=1.0, round_delay=True, validation=to_mapping(proof)).text
+    assert "x on proof.csv" not in old
+    assert "x: not known: the model was scored with another delay" in unwrapped(old)
 
 
 def test_unknown_formats_and_sample_periods_are_refused(model: Model, tmp_path: Path) -> None:

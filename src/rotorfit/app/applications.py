@@ -14,10 +14,12 @@ import numpy.typing as npt
 from rotorfit.app.inputs import (
     CardLike,
     FilePath,
+    Flights,
     ModelLike,
     as_array,
     as_axes,
     as_card,
+    as_logs,
     as_model,
     as_number,
     as_whole,
@@ -282,7 +284,7 @@ def export(
     physical: bool = False,
     round_delay: bool = False,
     training: Sequence[Flight] | None = None,
-    validation: Validation | None = None,
+    flights: Flights = (),
     name: str | None = None,
 ) -> Export:
     """Exports a model for a controller, an estimator or a simulator.
@@ -297,7 +299,8 @@ def export(
         round_delay: Whether to round delays to whole samples of dt; the file states by how much.
         training: The flights of the fit, for the speeds at which the model was trained; None for those of the fit, or
             those whose logs are still in place.
-        validation: Scores on other flights, for the header; None for the model's own leave-one-out scores.
+        flights: Flights as in `validate`, on which the exported numbers are scored, for the header; without any, the
+            model's own leave-one-out scores.
         name: Name of the vehicle in the file; None for that of the path, else of the card.
 
     Returns:
@@ -307,15 +310,23 @@ def export(
         TypeError: `model` is not a model, or another argument has the wrong type.
         ExportError: The format is unknown, it cannot hold a structure of the model, or no axis is left.
         ModelError: The model file cannot be used.
+        LogError, CardError, FlightError: As in `validate`.
     """
     from rotorfit import exports
     from rotorfit.app import workflows
+    from rotorfit.exports.validity import trained_on
 
+    logs = as_logs(flights)
     if training is None:
         training = model.flights if isinstance(model, Fit) else workflows.training_flights(as_model(model))[0]
     named_or_known = path_text(model) if isinstance(model, str | PathLike) else as_model(model)
+
+    def score(exported: Model) -> Validation:
+        return workflows.validate_logs(exported, logs)[0]
+
     return exports.export(
         named_or_known, as_word(to, "format"), None if path is None else Path(path_text(path)),
         dt=as_number(dt, "a period"), predictor=predictor, physical=physical, round_delay=round_delay,
-        training=training, validation=validation, name=None if name is None else as_word(name, "vehicle"),
+        name=None if name is None else as_word(name, "vehicle"), trained=trained_on(training),
+        score=score if logs else None,
     )  # fmt: skip

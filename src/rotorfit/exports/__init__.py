@@ -1,15 +1,16 @@
 """Exports: from a model to code and parameters for a controller, an estimator or a simulator.
 
-A Model goes in, with a Validation if there is one; the text of one file in the target's own language comes out, with
+A Model goes in, with what scores it if there is such; the text of one file in the target's own language comes out, with
 the numbers, their origin and the range in which they are valid.
 """
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 from rotorfit.core.errors import ExportError
 from rotorfit.core.writing import write_result
@@ -17,7 +18,6 @@ from rotorfit.exports.formats import FORMATS, Format
 from rotorfit.version import __version__
 
 if TYPE_CHECKING:
-    from rotorfit.core.flight_data import Flight
     from rotorfit.core.model import Model
     from rotorfit.core.results import Validation
 
@@ -64,8 +64,9 @@ def export(
     predictor: bool = False,
     physical: bool = False,
     round_delay: bool = False,
-    training: "Sequence[Flight]" = (),
-    validation: "Validation | None" = None,
+    trained: Mapping[str, Sequence[float]] = MappingProxyType({}),
+    score: "Callable[[Model], Validation] | None" = None,
+    validation: Mapping[str, Any] | None = None,
     name: str | None = None,
 ) -> Export:
     """Exports a model for a controller, an estimator or a simulator.
@@ -81,8 +82,10 @@ def export(
             best.
         physical: Whether commands are in SI units (rad, m/s, rad/s) where the card has fractions of a limit.
         round_delay: Whether to round delays to whole samples of dt; the file states by how much.
-        training: The flights of the fit, for the speeds at which the model was trained.
-        validation: Scores on other flights, for the header; None for the model's own leave-one-out scores.
+        trained: Speeds and commands of the flights of the fit, as `validity.trained_on` gives them.
+        score: Scores the exported numbers on other flights.
+        validation: Without `score`, scores of the model as it is, as `assessment.validation.to_mapping` has them; None
+            for its own leave-one-out. They do not hold for an axis that is exported with another delay.
         name: Name of the vehicle in the file; by default that of the path, else of the card.
 
     Returns:
@@ -97,7 +100,7 @@ def export(
     """
     from rotorfit.exports.header import header
     from rotorfit.exports.subject import subject_of
-    from rotorfit.exports.validity import scores, trained_on
+    from rotorfit.exports.validity import scores
     from rotorfit.exports.writing import check, render, summary_of
 
     form = _format_named(to)
@@ -108,13 +111,19 @@ def export(
     )
     check(subject, to, form)
     if path and form.suffix == ".py" and Path(path).stem in IMPORTED:
-        raise ExportError(f"{path}: {to} imports a module of this name; choose another, such as {subject.name}.py")
+        raise ExportError(
+            f"{path}: {to} imports a module of this name; choose another, such as {subject.name}_model.py"
+        )
     if path and form.named and Path(path).stem != subject.name:
         raise ExportError(f"{path}: a {to} file must be named after its function; call it {subject.name}{form.suffix}")
     mark = f"Written by rotorfit export {__version__}, format {to}."
-    lines = header(
-        subject, summary_of(subject, form), trained_on(training), scores(known, validation, subject.axes), mark
-    )
+    if score:
+        from rotorfit.assessment.validation import to_mapping
+
+        errors = scores(to_mapping(score(subject.scored)), subject.axes)
+    else:
+        errors = scores(validation or known.leave_one_out, subject.axes, subject.changed)
+    lines = header(subject, summary_of(subject, form), trained, errors, mark)
     text, kept = render(subject, to, form, lines), None
     if path:
         kept = write_result(path, text)

@@ -8,6 +8,7 @@ from rotorfit.core.frames import AXES, POSE_UNITS
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import Axis, Interval
 from rotorfit.exports.subject import Subject
+from rotorfit.exports.validity import training_of
 
 WIDTH = 112
 
@@ -32,14 +33,14 @@ TURNED = (
 
 
 def header(
-    subject: Subject, contents: str, trained: Mapping[str, str], scored: Sequence[str], mark: str
+    subject: Subject, contents: str, trained: Mapping[str, Sequence[float]], scored: Sequence[str], mark: str
 ) -> tuple[str, ...]:
     """Lines of the header, without characters that could end a comment in any of the languages.
 
     Args:
         subject: What is exported.
         contents: What is in of the file, in a sentence or two.
-        trained: Axis name to speeds and commands of the training flights.
+        trained: As `validity.trained_on` gives it.
         scored: Lines about prediction errors.
         mark: The line that identifies the file as an export.
     """
@@ -62,7 +63,7 @@ def header(
         *(line for axis in subject.axes for line in _coefficients(axis, subject.original.axes[axis])),
         "",
         "Validity, from the training flights:",
-        *(_row(axis, trained.get(axis, "speeds not known: its logs are not at hand")) for axis in subject.axes),
+        *(_row(axis, training_of(subject, axis, trained)) for axis in subject.axes),
         "Validity, RMSE of predicted velocity up to a horizon and of the position at its end:",
         *(line for score in scored for line in _wrapped(score, "  ")),
         "",

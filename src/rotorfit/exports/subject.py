@@ -41,6 +41,7 @@ class Subject:
         model: The model whose simulation the export reproduces: axes that are left out have no predictor and keep their
             velocity; gains are per command of the export; delays are at least 0, and rounded if requested.
         original: The model as given: coefficients with intervals.
+        scored: `model` with the gains per command of the card: what predicts its flights.
         commands: Meaning of the command of each axis.
         physical: Whether commands are in SI units where the card has fractions.
         dt: Sample period of the C header and of rounded delays [s].
@@ -52,6 +53,7 @@ class Subject:
     name: str
     model: Model
     original: Model
+    scored: Model
     commands: tuple[CommandMeaning, ...]
     physical: bool
     dt: float
@@ -63,6 +65,13 @@ class Subject:
     def axes(self) -> tuple[str, ...]:
         """The axes that the export has numbers for."""
         return tuple(axis for axis in AXES if self.model.axes[axis].predictor)
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """The axes that move otherwise than by the model as given, because of another delay."""
+        return tuple(
+            axis for axis in self.axes if self.scored.axes[axis].predictor != self.original.axes[axis].predictor
+        )
 
     @property
     def lagged(self) -> tuple[str, ...]:
@@ -121,14 +130,15 @@ def subject_of(
     kept, notes = _kept(model, predictor)
     kept, said = _causal(kept)
     notes = [*notes, *said]
-    if physical:
-        kept, said = _physical(kept)
-        notes = [*notes, *said]
     if round_delay:
         kept, said = _rounded(kept, dt)
         notes = [*notes, *said]
+    scored = kept
+    if physical:
+        kept, said = _physical(kept)
+        notes = [*notes, *said]
     commands = tuple(command_of(kept.card, axis, physical) for axis in AXES)
-    return Subject(identifier(name), kept, model, commands, physical, dt, tuple(notes), origin, sha256)
+    return Subject(identifier(name), kept, model, scored, commands, physical, dt, tuple(notes), origin, sha256)
 
 
 def identifier(text: str) -> str:
@@ -181,6 +191,12 @@ def _remedy(model: Model) -> str:
         return "--predictor exports the point that predicts best"
     frozen = any(axis.status["input"] == FROZEN for axis in model.axes.values())
     return MEND if frozen else f"fit a flight that moves an axis{PLANNED}"
+
+
+def size_of(subject: Subject, axis: str) -> float:
+    """What a command of 1 of the card is in the export's commands."""
+    meaning = meaning_of(subject.model.card, axis)
+    return meaning.setting if subject.physical and meaning.limit and meaning.setting else 1.0
 
 
 def _physical(model: Model) -> tuple[Model, list[str]]:

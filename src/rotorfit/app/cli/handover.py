@@ -2,11 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rotorfit.app.cli.options import JSON, MODEL, SEED, axes_of, file_at, print_json, progress_bar, say_kept
+
+if TYPE_CHECKING:
+    from rotorfit.core.model import Model
+    from rotorfit.core.results import Validation
 
 
 @click.command()
@@ -55,16 +59,22 @@ def export(
     if dt is not None and to in FORMATS and not (FORMATS[to].sampled or asked["round_delay"]):
         raise click.UsageError(f"--dt is for --to c and --round-delay: a file of {to} is for any sample period")
     from rotorfit.app.workflows import check_destination, training_flights, validate_logs
+    from rotorfit.exports.validity import trained_on
     from rotorfit.files.log_span import parse_log
     from rotorfit.files.models import load
 
     check_destination(output, MARK)
     model = load(model_path)
-    with progress_bar() as progress:
-        validation = validate_logs(model, [parse_log(log) for log in logs], progress=progress)[0] if logs else None
+    trained = trained_on(training_flights(model)[0])
     if dt is not None:
         asked["dt"] = dt
-    made = write(model_path, to, output, training=training_flights(model)[0], validation=validation, **asked)
+
+    def score(exported: "Model") -> "Validation":
+        """On the logs."""
+        with progress_bar() as progress:
+            return validate_logs(exported, [parse_log(log) for log in logs], progress=progress)[0]
+
+    made = write(model_path, to, output, trained=trained, score=score if logs else None, **asked)
     say_kept(made.kept)
     if as_json:
         return print_json(export_mapping(made, str(output)))

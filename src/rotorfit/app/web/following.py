@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock, Thread
@@ -16,8 +16,6 @@ from typing import Any
 
 from rotorfit.app.live.feed import Feed
 from rotorfit.app.web.runner import BusyError, message_of
-from rotorfit.core.errors import RotorfitError
-from rotorfit.core.plain import line_of
 from rotorfit.core.writing import write_whole
 
 MOST_LINES = 20
@@ -25,8 +23,6 @@ MOST_LINES = 20
 
 PATIENCE = 10.0
 """How long the process may take to end with the studio [s]."""
-
-CARD = "followed.toml"
 
 
 @dataclass
@@ -54,18 +50,15 @@ class Follower:
     """Tracks at most one vehicle at a time.
 
     Args:
-        incoming: Reserves an id and a path for a log of a given name, as `Workspace.incoming`.
-        kept: Adds that log to the session; takes id, name and path.
+        place: Gives a path for a new recording, as `Workspace.recording`.
+        kept: Makes a recording a log of the session, and says so in a line, or where it lies instead.
     """
 
-    def __init__(
-        self,
-        incoming: Callable[[str], AbstractContextManager[tuple[str, Path]]],
-        kept: Callable[[str, str, Path], None],
-    ) -> None:
-        self._incoming, self._kept = incoming, kept
+    def __init__(self, place: Callable[[], Path], kept: Callable[[Path], str]) -> None:
+        self._place, self._kept = place, kept
         self._lock = Lock()
         self._run: Run | None = None
+        self._listener: Thread | None = None
         self._none = Feed()
 
     @property
@@ -95,13 +88,11 @@ class Follower:
         with self._lock:
             if self._run is not None and self._run.running:
                 raise BusyError("a vehicle is followed already; end that first")
+            path = self._place()
             number = self._run.number + 1 if self._run else 1
-            name = f"live-{number}.mcap"
-            with ExitStack() as stack:
-                log_id, path = stack.enter_context(self._incoming(name))
-                self._run = run = Run(number, link, _process(link, card, text, path), Feed(link))
-                place = stack.pop_all()
-        Thread(target=self._listen, args=(run, place, log_id, name, path), daemon=True).start()
+            self._run = run = Run(number, link, _process(link, card, text, path), Feed(link))
+            self._listener = Thread(target=self._listen, args=(run, path), daemon=True)
+            self._listener.start()
 
     def stop(self) -> None:
         """Asks the process to end: it makes a last fit, and its recording is kept."""
@@ -109,19 +100,20 @@ class Follower:
             self._run.process.send_signal(signal.SIGINT)
 
     def close(self) -> None:
-        """Ends the run with the studio."""
-        run = self._run
-        if run is None or not run.running:
+        """Ends the run with the studio; its recording is kept before this returns."""
+        run, listener = self._run, self._listener
+        if run is None or listener is None:
             return
         self.stop()
         try:
             run.process.wait(PATIENCE)
         except subprocess.TimeoutExpired:
             run.process.kill()
+        listener.join()
 
-    def _listen(self, run: Run, place: ExitStack, log_id: str, name: str, path: Path) -> None:
+    def _listen(self, run: Run, path: Path) -> None:
         """Body of the thread: reads the output of the process, and keeps its recording at the end."""
-        with place, run.process as process:
+        with run.process as process:
             assert process.stdout is not None
             for line in process.stdout:
                 message = message_of(line)
@@ -131,21 +123,18 @@ class Follower:
                     run.said.append(line.strip())
             process.wait()
             run.feed.over = True
-            try:
-                (path.parent / CARD).unlink(missing_ok=True)
-                if path.exists():
-                    self._kept(log_id, name, path)
-                    run.said.append(f"what was heard is the log {name}")
-            except (OSError, RotorfitError) as error:
-                run.said.append(f"{name} is not kept: {line_of(error)}")
+            with suppress(OSError):
+                path.with_suffix(".toml").unlink(missing_ok=True)
+            if path.exists():
+                run.said.append(self._kept(path))
             run.running = False
 
 
 def _process(link: str, card: str, text: bool, record: Path) -> subprocess.Popen[str]:
     words = [sys.executable, "-P", "-m", "rotorfit", "track", "--link", link, "--jsonl", "--record", str(record)]
     if text:
-        write_whole(record.parent / CARD, card)
-        card = str(record.parent / CARD)
+        write_whole(record.with_suffix(".toml"), card, keep=False)
+        card = str(record.with_suffix(".toml"))
     return subprocess.Popen(
         [*words, *(["--card", card] if card else [])],
         stdin=subprocess.DEVNULL,

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -27,7 +28,7 @@ from rotorfit.app.web.wire import PREDICTOR, constants_mapping, flight_mapping, 
 from rotorfit.app.web.workspace import LARGEST_LOG, FitEntry, StaleError, Upload, Workspace, WorkspaceError
 from rotorfit.core.errors import ExportError, LogError, RotorfitError
 from rotorfit.core.frames import AXES
-from rotorfit.core.plain import line_of, plain_json
+from rotorfit.core.plain import line_of, plain_json, text_of
 from rotorfit.diagnosis.card_draft import draft_card
 from rotorfit.diagnosis.command_response import answers_of
 from rotorfit.diagnosis.doctor import findings_of_flight
@@ -53,7 +54,9 @@ class Studio:
         self.workspace = workspace
         self.shelf = Shelf(workspace)
         self.runner = Runner(workspace)
-        self.follower = Follower(workspace.incoming, self._recorded)
+        self.follower = Follower(workspace.recording, self._taken_in)
+        left = [self._taken_in(path) for path in workspace.recordings()]  # of a studio that was killed
+        workspace.notice = "; ".join(filter(None, (workspace.notice, *left)))
         self._looking = Lock()
         handlers: Any = {RotorfitError: _refusal, OSError: _refusal}
         self.app = gated(Starlette(routes=self._routes(), exception_handlers=handlers))
@@ -225,9 +228,28 @@ class Studio:
         """Starts to track a vehicle."""
         self.follower.start(*live_request(body, self.workspace.session))
 
-    def _recorded(self, log_id: str, name: str, path: Path) -> None:
-        """Keeps the recording of a tracked vehicle."""
-        self._kept(Upload(log_id, name, path.name, path.stat().st_size, ""))
+    def _taken_in(self, path: Path) -> str:
+        """Makes a recording a log of the session, and says so in a line, or where it lies instead."""
+        name, why = path.name, ""
+        try:
+            try:
+                self._recorded(path)
+            except LogError as error:  # it holds nothing, or its beginning is damaged
+                path, why = self.workspace.set_aside(path), line_of(error)
+        except (OSError, RotorfitError) as error:
+            why = f"{line_of(error)}; the studio tries again when it starts next"
+        return (
+            f"what was heard is not a log yet: {why}; it lies in {path}" if why else f"what was heard is the log {name}"
+        )
+
+    def _recorded(self, path: Path) -> None:
+        """Copies a recording into the session; it is removed only once the copy is a log."""
+        with self.workspace.incoming(path.name) as (log_id, place):
+            with path.open("rb") as recording, place.open("xb") as file:
+                shutil.copyfileobj(recording, file)
+                _synced(file)
+            self._kept(Upload(log_id, path.name, place.name, place.stat().st_size, ""))
+        path.unlink()
 
     def follow_no_more(self, _: Request, _body: Any) -> Any:
         """Ends the tracking."""
@@ -250,12 +272,16 @@ class Studio:
     def exported(self, request: Request) -> Response:
         """The model of a fit, exported for a controller or a simulator, for download."""
         fit, wanted = self._fit(request), request.path_params["format"]
-        path = self.workspace.fit_folder(fit) / "model.json"
+        folder = self.workspace.fit_folder(fit)
+        path = folder / "model.json"
         if fit.status != "done" or not path.is_file():
             return refused(404, "there is no such result")
         name = f"model_{fit.id}"
         try:
-            made = export(path, wanted, name=name, predictor="predictor" in request.query_params)
+            made = export(
+                path, wanted, name=name, predictor="predictor" in request.query_params,
+                trained=_stored(folder / "trained.json") or {}, validation=_stored(folder / "validation.json"),
+            )  # fmt: skip
         except ExportError as error:
             raise ExportError(_in_words_of_the_page(str(error))) from None
         kept = {"content-disposition": f'attachment; filename="{name}{FORMATS[wanted].suffix}"'}
@@ -271,6 +297,11 @@ class Studio:
         if not self.workspace.session.card:
             raise WorkspaceError("there is no card yet")
         return self.workspace.session.card
+
+
+def _stored(path: Path) -> Any:
+    """What the worker wrote; None where it did not."""
+    return plain_json(text_of(path)) if path.is_file() else None
 
 
 def _in_words_of_the_page(refusal: str) -> str:

@@ -3,8 +3,8 @@
     python -m rotorfit.app.web.worker WORKSPACE FIT
 
 It reads `request.json` and `card.toml` in the fit's folder, reports progress as lines of JSON on standard output, and
-writes `model.json`, `validation.json`, `result.json` and `report.html`. It ends with its standard input, so it does not
-outlive the studio.
+writes `model.json`, `trained.json` (for exports), `validation.json`, `result.json` and `report.html`. It ends with its
+standard input, so it does not outlive the studio.
 """
 
 import json
@@ -27,6 +27,7 @@ from rotorfit.core.plain import plain_json, text_of
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import CURVE, Validation
 from rotorfit.core.writing import write_whole
+from rotorfit.exports.validity import trained_on
 from rotorfit.files.cards import load_card
 from rotorfit.files.log_span import LogSpan
 from rotorfit.files.models import load, save
@@ -73,6 +74,7 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
         request["uncertainty"],
     )
     save(fitted.model, folder / "model.json")
+    write_whole(folder / "trained.json", json.dumps(trained_on(fitted.flights)))
 
     def proving(fraction: float, text: str) -> None:
         progress(FITTING + (PROVING - FITTING) * fraction, f"validating: {text}")

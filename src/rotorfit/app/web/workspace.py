@@ -33,7 +33,7 @@ LARGEST_LOG = 2 << 30
 LARGEST_WORKSPACE = 16 << 30
 """Largest size of all logs together [bytes]."""
 
-CONTENT = ("session.json", "session.new", "lock", "logs", "fits", "set-aside")
+CONTENT = ("session.json", "session.new", "lock", "logs", "fits", "recordings", "set-aside")
 """Names of everything in the folder of a workspace."""
 
 VERSION = 1
@@ -146,7 +146,7 @@ class Workspace:
         folder: The folder; created if it is missing, for its owner only.
 
     Attributes:
-        notice: One line about a session that had to be set aside; empty if there was none.
+        notice: One line about a session that had to be set aside and recordings that were left; empty without either.
 
     Raises:
         WorkspaceError: Another studio uses the folder, a newer one wrote it, or it cannot hold a workspace.
@@ -167,7 +167,7 @@ class Workspace:
             self._held = (self.folder / "lock").open("w")
             self._take(folder)
             self._session = self._loaded()
-            for place in ("logs", "fits"):
+            for place in ("logs", "fits", "recordings"):
                 (self.folder / place).mkdir(exist_ok=True)
         except OSError as error:
             raise WorkspaceError(
@@ -228,8 +228,7 @@ class Workspace:
             WorkspaceError: The session is full.
         """
         with self._lock:
-            if len(self._session.uploads) >= MOST_LOGS:
-                raise WorkspaceError(f"{name}: a session holds at most {MOST_LOGS} logs; remove one first")
+            self._check_number(name)
             log_id = str(self._session.next_log)
             self._changed(next_log=self._session.next_log + 1)
         folder = self.folder / "logs" / log_id
@@ -239,6 +238,29 @@ class Workspace:
         finally:
             if all(upload.id != log_id for upload in self._session.uploads):
                 shutil.rmtree(folder, ignore_errors=True)
+
+    def recording(self) -> Path:
+        """A path for a new recording: it lies apart, where nothing removes it, until it is a log of the session.
+
+        Raises:
+            WorkspaceError: The session is full.
+        """
+        taken = {upload.name for upload in self._session.uploads} | {path.name for path in self.recordings()}
+        name = next(new for n in range(1, sys.maxsize) if (new := f"live-{n}.mcap") not in taken)
+        self._check_number(name)
+        return self.folder / "recordings" / name
+
+    def recordings(self) -> list[Path]:
+        """The recordings that are no log of the session yet."""
+        return sorted((self.folder / "recordings").glob("*.mcap"))
+
+    def set_aside(self, path: Path) -> Path:
+        """Moves a recording that cannot be read out of the way; its new path."""
+        return path.rename(self._aside() / path.name)
+
+    def _check_number(self, name: str) -> None:
+        if len(self._session.uploads) >= MOST_LOGS:
+            raise WorkspaceError(f"{name}: a session holds at most {MOST_LOGS} logs; remove one first")
 
     def add_log(self, upload: Upload) -> Upload:
         """Keeps a received log: the first is for training, later ones are for validation.
@@ -381,10 +403,7 @@ class Workspace:
             return _session_from(plain_json(text_of(path)))
         except ValueError as error:
             trouble = line_of(error, 200)
-        aside = self.folder / "set-aside"
-        aside.mkdir(exist_ok=True)
-        place = next(new for n in range(1, sys.maxsize) if not (new := aside / str(n)).exists())
-        place.mkdir()
+        place = self._aside()
         for name in ("logs", "fits", "session.json"):  # the session last: after a kill in between, this runs again
             with suppress(FileNotFoundError):
                 (self.folder / name).rename(place / name)
@@ -393,8 +412,15 @@ class Workspace:
         )
         return Session()
 
+    def _aside(self) -> Path:
+        """A new folder for what cannot be used any more."""
+        aside = self.folder / "set-aside"
+        place = next(new for n in range(1, sys.maxsize) if not (new := aside / str(n)).exists())
+        place.mkdir(parents=True)
+        return place
+
     def _sweep(self) -> None:
-        """Removes the remains of an interrupted upload, removal or write."""
+        """Removes the remains of an interrupted upload, removal or write, but no recording."""
         for half in self.folder.glob(".session.json.*"):
             half.unlink(missing_ok=True)
         for place, entries in (("logs", self._session.uploads), ("fits", self._session.fits)):
