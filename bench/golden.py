@@ -63,6 +63,7 @@ from rotorfit.dynamics.other_limits import convert
 from rotorfit.dynamics.trajectory import simulate
 from rotorfit.exports import FORMATS, export
 from rotorfit.exports.gains import tuning_mapping
+from rotorfit.exports.validity import trained_on
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.log_span import parse_log
 from rotorfit.files.logs import read
@@ -289,11 +290,11 @@ def gains() -> Figures:
 def exported() -> Figures:
     path, proof = demo_files()
     model, lagged = load(path), fitted(paper_flight("turning"), structure="first_order_delay_lag").model
-    training, validation = training_flights(model)[0], validate_logs(model, [parse_log(log) for log in proof])[0]
+    trained, logs = trained_on(training_flights(model)[0]), [parse_log(log) for log in proof]
     found: dict[str, Figures] = {}
     for to, form in FORMATS.items():
         made = {
-            "proven": export(model, to, training=training, validation=validation),
+            "proven": export(model, to, trained=trained, score=lambda exported: validate_logs(exported, logs)[0]),
             "rounded": export(model, to, dt=0.01, physical=True, round_delay=True),
             **({} if form.plain else {"lag": export(lagged, to, predictor=True)}),
         }

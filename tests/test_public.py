@@ -44,7 +44,7 @@ FUNCTIONS: dict[str, str] = {
     "diagnose": "(log, card=None, span=(None, None))",
     "export": (
         "(model, to, path=None, *, dt=0.02, predictor=False, physical=False, round_delay=False, "
-        "training=None, validation=None, name=None)"
+        "training=None, flights=(), name=None)"
     ),
     "fit": (
         "(flights, method='ml', axes=('x', 'y', 'z', 'yaw'), *, card=None, structure='averaged', "

@@ -13,6 +13,7 @@ from rotorfit.control.robustness import believed_possible
 from rotorfit.control.tuning import DELAY_SHARE, PEAK, RESTLESS, tune
 from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import Finding, Severity
+from rotorfit.core.model import Combination, Plain, first_order
 
 pytestmark = pytest.mark.flights
 
@@ -30,6 +31,25 @@ def test_a_delay_that_is_not_known_costs_speed_and_is_said() -> None:
     assert unknown.bandwidth < 0.7 * known.bandwidth
     assert "delay is not known" in unknown.note
     assert known.note == ""
+
+
+def test_gains_of_another_law_tell_where_it_contradicts_what_the_model_knows() -> None:
+    model = model_of(error=0.02)
+    x, (g, b, _) = model.axes["x"], VEHICLE["x"]
+    plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
+    own = replace(x, structure="quadratic_drag", plain=plain)
+    other = replace(own, combinations={
+        "steady_gain": Combination(0.75 * g / b, (0.7 * g / b, 0.8 * g / b)),
+        "total_lag": Combination(0.5, (0.4, None)),
+    })  # fmt: skip
+
+    alike, apart = (tune(replace(model, axes={**model.axes, "x": one}), axes=("x",)).axes["x"] for one in (own, other))
+
+    assert apart.law == alike.law
+    assert "steady gain" not in alike.note
+    assert f"steady gain of that law is {g / b:.3g}, of the model {0.75 * g / b:.3g}" in apart.note
+    assert "the command is 25 % too small until d" in apart.note
+    assert "total lag" not in apart.note  # 5.7 s, in an interval that is open there
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -25,12 +25,12 @@ from rotorfit.control.robustness import (
     known_vehicle,
     robustness,
 )
-from rotorfit.core.display import html_table, number, text_table
+from rotorfit.core.display import html_table, interval, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY, structure_named
-from rotorfit.core.model import COEFFICIENTS, MEND, Model, first_order, unknown_why
+from rotorfit.core.model import COEFFICIENTS, MEND, Axis, Model, first_order, unknown_why
 from rotorfit.core.plain import by_reason
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
@@ -222,7 +222,7 @@ def _fastest(
         else:
             continue
         noise = _command_noise(model, axis, law, own)
-        quietest = AxisTuning(law, bandwidth, margins(law, own), known, noise, _note(model, axis, noise))
+        quietest = AxisTuning(law, bandwidth, margins(law, own), known, noise, _note(model, axis, law, noise))
         if noise is None or noise <= RESTLESS:
             break
     frozen = axis in frozen_axes(model.findings)
@@ -260,7 +260,7 @@ def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: LoopVehicle) 
     return float(np.sqrt(variance * solve_discrete_lyapunov(M, np.outer(B, B))[command, command]) / scale)
 
 
-def _note(model: Model, axis: str, noise: float | None) -> str:
+def _note(model: Model, axis: str, law: AxisLaw, noise: float | None) -> str:
     """The assumptions and warnings about the gains of an axis."""
     notes = []
     known = model.axes[axis]
@@ -269,6 +269,7 @@ def _note(model: Model, axis: str, noise: float | None) -> str:
     if known.structure != FIRST_ORDER_DELAY.name:
         whose = "its own" if has_own_margins(structure_named(known.structure)) else "not those"
         notes.append(f"gains of the first-order law with a delay, margins {whose} of {known.structure}")
+        notes += _beside_the_model(known, law)
     status = known.plain.status if known.plain and known.structure != FIRST_ORDER_DELAY.name else known.status
     if unknown := [name for name in COEFFICIENTS[:2] if status[name] != "ok"]:
         said = " and ".join(f"{name} ({status[name].replace('_', ' ')})" for name in unknown)
@@ -284,3 +285,33 @@ def _note(model: Model, axis: str, noise: float | None) -> str:
     if noise is not None and noise > RESTLESS:
         notes.append(f"noise of the poses moves the command by {100 * noise:.0f} % of full scale: filter the poses")
     return "; ".join(notes)
+
+
+def _beside_the_model(known: Axis, law: AxisLaw) -> list[str]:
+    """Where the first-order law of the gains lies outside of what the model knows of an axis under its own law.
+
+    Another feed-forward would not help: d, or the integral, takes up whatever input and damping miss, and would work
+    against it.
+    """
+    if law.damping <= 0:
+        return []
+    steady = law.input / law.damping
+    gain, lag = _off(known, "steady_gain", steady), _off(known, "total_lag", law.delay + 1 / law.damping, " s")
+    if gain:
+        share = known.combinations["steady_gain"].value / steady - 1
+        gain += (
+            f": at a new speed the command is {100 * abs(share):.0f} % too {'small' if share < 0 else 'large'} until d, or "
+            "the integral, has made up for it"
+        )
+    return [note for note in (gain, lag) if note]
+
+
+def _off(known: Axis, name: str, value: float, unit: str = "") -> str:
+    """A figure of the law of the gains beside the model's own, if it lies outside its interval; else empty."""
+    if (own := known.combinations.get(name)) is None:
+        return ""
+    low, high = own.ci95
+    if (low is None or value >= low) and (high is None or value <= high):
+        return ""
+    told = f"{own.value:.3g}{unit} ({interval(low, high)})"
+    return f"the {name.replace('_', ' ')} of that law is {value:.3g}{unit}, of the model {told}"

@@ -41,7 +41,7 @@ SYMBOLS: Mapping[str, str] = {
     "r": "reference, with its derivatives r' and r''",
     "p": "position",
     "v": "velocity",
-    "d": "slow acceleration that is not commanded: wind, trim",
+    "d": "slow acceleration that is not commanded: wind, trim, what input and damping miss",
     "b": "damping",
     "K": "stiffness",
     "D": "rate_gain",
