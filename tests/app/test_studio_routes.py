@@ -259,6 +259,8 @@ def test_a_fit_gives_a_model_scores_and_a_report_that_runs_in_a_sandbox(fitted: 
     report = page.get("/api/fits/1/report.html")
     assert report.headers["content-security-policy"] == SANDBOX
     assert "<title>" in report.text
+    assert "logs/" not in report.text
+    assert "rotorfit plan --after model-1.json" in report.text
     download = page.get("/api/fits/1/report.html?download")
     assert download.headers["content-disposition"] == 'attachment; filename="report-1.html"'
 

@@ -299,10 +299,8 @@ def _beside_the_model(known: Axis, law: AxisLaw) -> list[str]:
     gain, lag = _off(known, "steady_gain", steady), _off(known, "total_lag", law.delay + 1 / law.damping, " s")
     if gain:
         share = known.combinations["steady_gain"].value / steady - 1
-        gain += (
-            f": at a new speed the command is {100 * abs(share):.0f} % too {'small' if share < 0 else 'large'} until d, or "
-            "the integral, has made up for it"
-        )
+        size = f"{100 * abs(share):.0f} % too {'small' if share < 0 else 'large'}"
+        gain += f": at a new speed the command is {size} until d, or the integral, has made up for it"
     return [note for note in (gain, lag) if note]
 
 

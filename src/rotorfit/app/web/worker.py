@@ -31,7 +31,7 @@ from rotorfit.exports.validity import trained_on
 from rotorfit.files.cards import load_card
 from rotorfit.files.log_span import LogSpan
 from rotorfit.files.models import load, save
-from rotorfit.reporting import write_report
+from rotorfit.reporting.page import page
 
 FITTING, PROVING = 0.75, 0.93
 """Fractions of the progress at which the fit and the validation end."""
@@ -92,11 +92,11 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
     if tested:
         write_whole(folder / "validation.json", json.dumps(to_mapping(validation), indent=1, allow_nan=False))
     progress(PROVING, "drawing")
-    (evidence,) = evidence_of([Case("model.json", fitted.model, fitted.flights, validation, flights)])
+    (evidence,) = evidence_of([Case(f"model-{folder.name}.json", fitted.model, fitted.flights, validation, flights)])
     result = result_mapping(evidence)
     _write_result(folder, {**result, "left_out": left})
     progress(PROVING + 0.02, "writing the report")
-    write_report([evidence], folder / "report.html")
+    write_whole(folder / "report.html", _as_the_user_has_them(page([evidence])))
     return f"{result['horizon']:g} s ahead: {result['headline']}{_without(left)}"
 
 
@@ -119,12 +119,17 @@ def _compare(folder: Path, request: dict[str, Any], progress: Progress) -> str:
 
 def _without(left: list[str]) -> str:
     """The end of the line about the result: what was left out."""
-    return _PLACE.sub("", f"; left out: {' / '.join(left)}") if left else ""
+    return _as_the_user_has_them(f"; left out: {' / '.join(left)}") if left else ""
 
 
 def _write_result(folder: Path, result: dict[str, Any]) -> None:
-    """Writes the result for the page, with logs by their names."""
-    write_whole(folder / "result.json", _PLACE.sub("", json.dumps(result, allow_nan=False)))
+    """Writes the result for the page."""
+    write_whole(folder / "result.json", _as_the_user_has_them(json.dumps(result, allow_nan=False)))
+
+
+def _as_the_user_has_them(text: str) -> str:
+    """A text with logs by their names, so that its command lines run where the user keeps them."""
+    return _PLACE.sub("", text)
 
 
 def main(workspace: str, fit_id: str) -> int:
@@ -132,7 +137,9 @@ def main(workspace: str, fit_id: str) -> int:
     os.nice(5)  # the page comes first
     Thread(target=_end_with_the_studio, daemon=True).start()
     try:
-        text = run(Path(workspace), fit_id, lambda fraction, text: _say(fraction=fraction, text=_PLACE.sub("", text)))
+        text = run(
+            Path(workspace), fit_id, lambda fraction, text: _say(fraction=fraction, text=_as_the_user_has_them(text))
+        )
     except RotorfitError as error:
         _say(error=" ".join(str(error).split()))
         return 1
