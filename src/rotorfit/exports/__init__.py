@@ -1,7 +1,7 @@
 """Exports: from a model to code and parameters for a controller, an estimator or a simulator.
 
-A Model goes in, with what scores it if there is such; the text of one file in the target's own language comes out, with
-the numbers, their origin and the range in which they are valid.
+A Model goes in; the text of one file in the target's own language comes out, with the numbers, their origin and the
+range in which they are valid.
 """
 
 import hashlib

@@ -78,6 +78,7 @@ def scores(known: Mapping[str, Any] | None, axes: Sequence[str], changed: Sequen
     lines += [
         f"{axis}: not known: the model was scored with another delay; rotorfit export MODEL LOG... scores this one."
         for axis in changed
+        if any(axis in flight["moved"] for flight in known["flights"])
     ]
     return lines or ["None: no flight was long enough to be predicted."]
 

@@ -55,7 +55,7 @@ class Studio:
         self.shelf = Shelf(workspace)
         self.runner = Runner(workspace)
         self.follower = Follower(workspace.recording, self._taken_in)
-        left = [self._taken_in(path) for path in workspace.recordings()]  # of a studio that was killed
+        left = [f"an earlier studio listened: {self._taken_in(path)}" for path in workspace.recordings()]
         workspace.notice = "; ".join(filter(None, (workspace.notice, *left)))
         self._looking = Lock()
         handlers: Any = {RotorfitError: _refusal, OSError: _refusal}
