@@ -65,3 +65,18 @@ def test_who_sinks_from_the_moment_of_the_last_command_on_may_land_by_itself() -
 
 def test_who_sinks_although_it_is_to_climb_has_not_touched_down() -> None:
     assert not any(touches for time, touches, _ in watched(-0.4) if time < 5.5)
+
+
+def test_poses_as_noisy_as_those_of_a_satellite_receiver_rest_on_the_ground_and_not_in_flight() -> None:
+    rng, ground, told = np.random.default_rng(3), Ground(), []
+    for time in np.arange(0.0, 30.0, 1 / 30):
+        landed = max(2.0 - max(time - 20.0, 0.0) / 1.5, 0.0)
+        ground.command(time, (0.3 * np.sin(time), 0.0, -0.3 if 20.0 < time < 27.0 else 0.1, 0.0))
+        place = np.array(
+            [0.8 * np.sin(time) if landed else 0.0, 0.0, landed + (0.3 * np.sin(0.8 * time)) * (landed > 0), 0]
+        )
+        ground.pose(time, place + rng.normal(0, [0.01, 0.01, 0.015, 0.01]))
+        told.append((time, ground.stands))
+
+    assert not any(stands for time, stands in told if 3.0 < time < 22.0)
+    assert all(stands for time, stands in told if time > 25.5)

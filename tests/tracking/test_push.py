@@ -7,9 +7,10 @@ import pytest
 
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.likelihood import whiten
+from rotorfit.tracking.following import STRONG
 from rotorfit.tracking.push import odds_of_a_push, push_interval
 from rotorfit.tracking.refits import GroupEstimate, refitted
-from rotorfit.tracking.scores import Scores, scores_of
+from rotorfit.tracking.scores import EXPECTED, Scores, scores_of
 from tracked_flights import LAW, alarms, known_flight
 
 pytestmark = pytest.mark.flights
@@ -64,16 +65,15 @@ def test_the_interval_holds_a_push_however_fast_it_is_learnt(
 def test_a_push_is_told_from_a_delay(followed: GroupEstimate, scores: Scores, learns: float) -> None:
     rng, begun = np.random.default_rng(13), float(scores.time[-1]) - AGO
     pushed = whitened(followed, begun, learns)
-    later = scores.tested[:, scores.names.index("z.delay")] * (scores.time >= begun)
-    later *= np.linalg.norm(pushed) / np.linalg.norm(later)
+    later = 0.1 / EXPECTED["delay"] * scores.begun(begun, 0.1)[:, scores.names.index("z.delay")]
     noise = rng.standard_normal((FLIGHTS, pushed.size))
     odds = [
         [odds_of_a_push(replace(scores, innovation=one + change), (begun - 0.2, begun + 0.2)) for one in noise]
         for change in (pushed, later)
     ]
 
-    assert min(odds[0]) > -3
-    assert max(odds[1]) < -10
+    assert min(odds[0]) > STRONG
+    assert max(odds[1]) < -STRONG
 
 
 def test_a_delay_in_still_air_that_looks_like_a_push_is_named_by_the_revision() -> None:

@@ -29,7 +29,7 @@ def shifted(both: list[Scores], size: float, begun: float, seed: int) -> list[Sc
     rng, out = np.random.default_rng(seed), []
     for scores in both:
         way = np.isin(scores.names, SHARED).astype(float)
-        answer = np.where(scores.time >= begun, scores.tested @ way, 0.0)
+        answer = scores.begun(begun, 0.0) @ way
         out.append(replace(scores, innovation=rng.standard_normal(scores.time.size) + size * answer))
     return out
 

@@ -31,6 +31,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from rotorfit.core.frames import AXES, Array, Indices
+from rotorfit.tracking.instant import instants_of, now_of
 from rotorfit.tracking.scores import CHUNK, FADES, LASTS, WINDOWS, Scores
 
 UNLIKELY = 1e-3
@@ -78,6 +79,9 @@ scales x and y, and a mode of the autopilot z with them."""
 LEAST_WINDOW = WINDOWS[0]
 """Shortest window that tells which coefficients shifted [s]: a shorter one takes one shift for another."""
 
+FLAT = 1e-9
+"""Share of the largest eigenvalue below which the rows of a regime leave a combination of what it knows open."""
+
 STEP = 0.2
 """Grid spacing of the time of a change [s]."""
 
@@ -95,6 +99,7 @@ class Contrast:
         p_value: Probability of so large a statistic without a change.
         freedom: Degrees of freedom of the variance of the scores.
         jolt: Whether it is a push that fades rather than coefficients of the window.
+        begun: Whether the shifts begin at the start of the window, from the motion as it is then.
     """
 
     since: float
@@ -105,6 +110,7 @@ class Contrast:
     p_value: float
     freedom: float
     jolt: bool = False
+    begun: bool = False
 
 
 def contrast(scores: Scores, since: float) -> Contrast | None:
@@ -118,6 +124,31 @@ def variance_along(scores: Scores, since: float, way: Array) -> float | None:
     compared = _compared(scores, [since])
     found = _along(scores, compared[0], way[:, None]) if compared else None
     return float(way @ compared[0].M @ way) / float(found.precision.max()) if found else None
+
+
+def begun_at(scores: Scores, instant: float) -> Contrast | None:
+    """The contrast of shifts that begin at an instant [s], from the motion as it is then; None if undetermined."""
+    at = int(np.searchsorted(scores.time, instant))
+    if scores.chunks_before(at) < LEAST_CHUNKS or at >= scores.time.size:
+        return None
+    now = now_of(scores)
+    begun, P = now.begun(instant, 0.0)[at:], len(scores.names)
+    across, normal = begun.T @ now.rows[at:], now.products[1:, 1:]
+    inverse = _inverse(normal[None], FLAT)[0]
+    u = across[:, 0] - across[:, 1:] @ inverse @ now.products[1:, 0]
+    M = begun.T @ begun - across[:, 1:] @ inverse @ across[:, 1:].T
+    shift = _inverse(M[None], 1e-10)[0] @ u
+    left = now.innovation - now.rows[:, 1:] @ (inverse @ (now.products[1:, 0] - across[:, 1:].T @ shift))
+    left[at:] -= begun @ shift
+    noise = max(1.0, float(np.sum(left[at:] ** 2)) / max(scores.time.size - at - P, 1))
+    found = _along(scores, _Compared(instant, at, u, 0.5 * (M + M.T), noise), np.eye(P))
+    return found and replace(found, begun=True)
+
+
+def likeliest_begun(scores: Scores, since: tuple[float, float]) -> Contrast | None:
+    """The contrast of shifts that begin at the instant within an interval [s] that shows them best."""
+    tried = [one for t in instants_of(scores, since) if (one := begun_at(scores, float(t)))]
+    return max(tried, key=lambda one: one.statistic - 2 * one.directions, default=None)
 
 
 @dataclass(frozen=True)
@@ -553,9 +584,11 @@ def calm(scores: Scores, before: float, since: float, p_value: float) -> bool:
 def at_once(scores: Scores, looked: Sequence[Contrast], change: Contrast) -> Contrast | None:
     """The contrast of other axes at the time of a change, however small: axes that stayed tell of the cause, too.
 
-    Of the kind of the change: the jolt nearest to it where it is one, else the window since; None if undetermined. A
-    choice by significance would take the chance of several tests for a shift.
+    Of the kind of the change: the jolt nearest to it where it is one, else shifts that begin then, or the window since;
+    None if undetermined. A choice by significance would take the chance of several tests for a shift.
     """
+    if change.begun:
+        return begun_at(scores, change.since)
     jolts = [one for one in looked if one.jolt and abs(one.since - change.since) < TOGETHER] if change.jolt else []
     nearest = min(jolts, key=lambda one: abs(one.since - change.since), default=None)
     return nearest or contrast(scores, change.since)

@@ -29,17 +29,16 @@ from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import Diagnosis, diagnosis, natural
 from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
-    LEAST_WINDOW,
     NEW,
     UNLIKELY,
     Contrast,
     at_once,
     calm,
     compares,
-    contrast,
     earliest,
     in_any_air,
     likeliest,
+    likeliest_begun,
     looked_together,
     pushes,
 )
@@ -98,9 +97,9 @@ SHARED_SHIFTS = ("delay", "limits")
 WORTH_SAYING = 0.01
 """Least share of the evidence that is told."""
 
-VERY_STRONG = 5.0
-"""Log-odds that count as very strong evidence (R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp.
-773-795, section 3.2)."""
+STRONG = 3.0
+"""Log-odds that count as strong evidence (R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795,
+section 3.2)."""
 
 HEAVIER = "x and y are learnt anew, as their damping is drag over mass"
 
@@ -309,8 +308,8 @@ class Following:
         if not raised and not _seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, names, threshold):
             return None  # the vehicle has not changed: it obeys another law at rest
         odds = _odds_of_a_push(scored, since) if best.jolt else np.inf
-        if raised and odds < -VERY_STRONG:
-            best = contrast(scored[names], min(when, now - LEAST_WINDOW)) or best
+        if raised and (not best.jolt or odds < -STRONG):
+            best = likeliest_begun(scored[names], since) or best
         named = _diagnosed(scored, names, best, looked, raised.looked if raised else {}, odds)
         heavier = [axis for axis in flight.axes if named.cause == "payload" and is_drag(flight.card, axis)]
         alarm = Alarm(

@@ -23,6 +23,9 @@ WINDOW, EVERY = 1.0, 0.1
 RESTS = np.array([0.02, 0.02, 0.02, 0.04])
 """Largest range of x, y, z [m] and yaw [rad] over the window of a vehicle at rest."""
 
+SPREAD, SAMPLES = 5.0, 100.0
+"""Range of about ten poses at rest, in standard deviations of their noise; number of poses that determine the latter."""
+
 LOW = 0.05
 """Height above the lowest seen so far up to which the vehicle may be on the ground [m]."""
 
@@ -56,6 +59,8 @@ class Ground:
         self._since: float | None = None
         self._obeys, self._allowed = True, -np.inf  # when the commands were last obeyed again
         self._recent: deque[tuple[float, Array]] = deque()
+        self._last: list[Array] = []  # the two poses before
+        self._noise, self._count = np.zeros(4), 0.0  # of the poses, from their second differences
         self._looked = -np.inf
         self._asked = -np.inf  # when a command last asked for anything
         self._down = -np.inf  # when a command last asked to sink
@@ -74,7 +79,7 @@ class Ground:
 
     def low(self, height: float) -> bool:
         """Whether a height [m] may be that of the ground."""
-        return height <= self.level + LOW
+        return height <= self.level + float(np.hypot(LOW, SPREAD / 2 * self._noise[2]))
 
     def asked_within(self, now: float, time: float) -> bool:
         """Whether a non-zero command came in the last `time` seconds before `now` [s]."""
@@ -112,6 +117,7 @@ class Ground:
             time: Its stamp [s].
             pose: World x, y, z [m] and unwrapped yaw [rad], shape (4,).
         """
+        self._hear(pose)
         if time - self._looked < EVERY:
             return
         self._looked = time
@@ -134,7 +140,7 @@ class Ground:
             self._sank = time
         climb = float(past[-1, 2] - past[len(past) // 2, 2]) / max(time - self._recent[len(past) // 2][0], EVERY)
         silent = not self.asked_within(time, SILENT)
-        rests = bool(np.all(ranges <= RESTS))
+        rests = bool(np.all(ranges <= np.hypot(RESTS, SPREAD * self._noise)))
         self._alone = LET_GO < time - self._asked < 2 * SILENT and abs(climb) > CALM
         if self._since is None:
             if rests and (self.low(float(pose[2])) or (sinks and self._looked - self._sank < 3 * WINDOW)):
@@ -148,6 +154,16 @@ class Ground:
             end = max(time - BEGUN, self._since) if sideways else time
             self._closed.append((self._since, max(end, self._allowed)))
             self._since = None
+
+    def _hear(self, pose: Array) -> None:
+        """Updates the noise of the poses: what a pose differs from the line through the two before is noise."""
+        if len(self._last) == 2:
+            self._count = min(self._count + 1.0, SAMPLES)
+            off = np.abs(pose - 2 * self._last[1] + self._last[0]) / (6**0.5 * 0.8)  # mean of the absolute value
+            if self._count == SAMPLES:
+                off = np.minimum(off, SPREAD * self._noise + 1e-6)  # no jump
+            self._noise += (off - self._noise) / self._count
+        self._last = [*self._last[-1:], pose]
 
     def _slowed(self, height: Array) -> bool:
         """Whether a vehicle that sank over the window has stopped within the last `HELD_UP`."""

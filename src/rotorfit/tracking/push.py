@@ -83,7 +83,12 @@ def odds_of_a_push(scores: Scores, since: tuple[float, float]) -> float:
     """
     instants, known = instants_of(scores, since), scores.rows.shape[1] - 1
     first = [int(at) for at in np.searchsorted(scores.time, instants)]
-    shifts = [(at, scores.begun(float(scores.time[at]), later)[at:]) for at in dict.fromkeys(first) for later in LATER]
+    answers = np.array([not name.endswith(".trim") for name in scores.names])  # a trim that begins is a push
+    shifts = [
+        (at, scores.begun(float(scores.time[at]), later)[at:, answers])
+        for at in dict.fromkeys(first)
+        for later in LATER
+    ]
     of_shifts = np.array([products_of(scores, at, shapes) for at, shapes in shifts])
     of_pushes = np.array(
         [

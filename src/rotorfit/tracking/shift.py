@@ -19,10 +19,7 @@ import numpy as np
 
 from rotorfit.tracking.changes import variance_along
 from rotorfit.tracking.instant import instants_of, mixture_interval, now_of, unexplained
-from rotorfit.tracking.scores import EXPECTED, Scores
-
-PASSES = 3
-"""How often a delay is estimated, each time with the answer moved by the last estimate."""
+from rotorfit.tracking.scores import Scores
 
 CURVED = 0.1
 """Error of the first-order shift over the square of the shift, both in units of `scores.EXPECTED`."""
@@ -43,15 +40,13 @@ def shift_interval(
     known = [(scores, way, variance) for scores, way in there if (variance := variance_along(scores, window, way))]
     if not known:
         return None
-    instants, later = instants_of(known[0][0], since), 0.0
-    for _ in range(PASSES):
-        product, precision = np.zeros(instants.size), np.full(instants.size, np.finfo(float).tiny)
-        for scores, way, variance in known:
-            now = now_of(scores)
-            along, power = unexplained(now, np.array([now.begun(instant, later) @ way for instant in instants]))
-            product += along / variance
-            precision += power / variance
-        mean = product / precision
-        log = 0.5 * mean**2 * precision - 0.5 * np.log(precision)
-        later = EXPECTED["delay"] * float(mean[np.argmax(log)])
+    instants = instants_of(known[0][0], since)
+    product, precision = np.zeros(instants.size), np.full(instants.size, np.finfo(float).tiny)
+    for scores, way, variance in known:
+        now = now_of(scores)
+        along, power = unexplained(now, np.array([now.begun(instant, 0.0) @ way for instant in instants]))
+        product += along / variance
+        precision += power / variance
+    mean = product / precision
+    log = 0.5 * mean**2 * precision - 0.5 * np.log(precision)
     return mixture_interval(log, mean, np.sqrt(1 / precision + (CURVED * mean**2) ** 2))
