@@ -177,6 +177,9 @@ def test_the_zero_of_a_law_stands_beside_the_lag_that_it_shortens(capsys: pytest
 def test_nothing_is_less_than_zero() -> None:
     assert number_text(-0.001, (-0.2, 0.2)) == "0.00"
     assert interval_text((-0.001, 0.2)) == "0.00 to 0.20"
+    assert interval_text((0.509, 284.0)) == "0.5 to 284"
+    assert interval_text((-284.0, -0.509)) == "-284 to -0.5"
+    assert interval_text((0.0014, 2.6)) == "0.001 to 2.6"
 
 
 def test_the_mean_wind_is_told_where_it_begins_and_where_it_ends(capsys: pytest.CaptureFixture[str]) -> None:

@@ -535,6 +535,7 @@ def test_times_better_means_the_smaller_of_both_factors_at_every_horizon() -> No
         (residual(command_p=1e-9), "like that of these flights only"),
         (replace(residual(), variance_ratio=9.0, variance_ci95=(8.0, 10.0)), "by 3.0"),
         (replace(residual(), variance_ratio=0.04, variance_ci95=(0.03, 0.05)), "less here than in the fit"),
+        (replace(residual(1e-9), variance_ratio=9.0, variance_ci95=(8.0, 10.0)), "of its noise by 3.0"),
     ],
 )
 def test_every_doubt_says_beside_the_headline_what_to_do(tests: ResidualTests, asked: str) -> None:

@@ -90,13 +90,21 @@ def number_text(value: float, interval: Ends) -> str:
 
 
 def interval_text(interval: Ends) -> str:
-    """A 95 % interval; `open` for an end that the data do not bound."""
+    """A 95 % interval; `open` for an end that the data do not bound.
+
+    An end that is small compared with the width keeps a digit where the interval excludes 0.
+    """
     low, high = interval
     if low is None and high is None:
         return "-"
     known = [end for end in interval if end is not None]
-    decimals = _decimals(max(known, key=abs), interval)
-    return " to ".join("open" if end is None else f"{end:z.{decimals}f}" for end in interval)
+    decimals, excluded = _decimals(max(known, key=abs), interval), len(known) == 2 and min(known) * max(known) > 0
+
+    def text(end: float) -> str:
+        least = -math.floor(math.log10(abs(end))) if excluded else 0
+        return f"{end:z.{max(decimals, min(least, 6))}f}"
+
+    return " to ".join("open" if end is None else text(end) for end in interval)
 
 
 def _decimals(value: float, interval: Ends) -> int:

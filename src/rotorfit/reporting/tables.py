@@ -78,7 +78,7 @@ def _row_text(row: CoefficientRow) -> RowText:
     kind = {"ok": "ok", "diverged": "bad", "refuted": "bad"}.get(row.status, "missing")
     if row.name in ("steady_gain", "total_lag", "offset_plus_delay"):
         kind = "combination"
-    paper = rounded(row.paper, scale)
+    paper = rounded(row.paper, min(scale, abs(row.paper)) if scale and row.paper else scale)
     tip = f"{term_of(row.name)}: estimate {rounded(row.value, scale)}, 95 % interval {interval}, paper's {paper}"
     return RowText(
         term=term_of(row.name),

@@ -407,7 +407,11 @@ def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
         return Lamp("residuals", "yellow", "in doubt", sentences([text])[0], advice)
     means = "the model leaves out part of the answer, other motion may be predicted worse"
     text = f"{what} ({chance(p)}): {means if follows else 'something regular is left that the commands do not explain'}"
-    return Lamp("residuals", "yellow", "not clean", sentences([text])[0], _with_residuals(tests, bool(follows), richer))
+    advice = _with_residuals(tests, bool(follows), richer)
+    if ratios and max(ratios) > OTHER:
+        text += f"; their variance is up to {max(ratios):.2g} times that of the fit"
+        advice += f"; multiply the standard deviations of its noise by {figure(max(ratios) ** 0.5)}"
+    return Lamp("residuals", "yellow", "not clean", sentences([text])[0], advice)
 
 
 def _with_residuals(tests: Sequence[ResidualTests], follows: bool, richer: bool) -> str:

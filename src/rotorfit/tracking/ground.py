@@ -24,7 +24,7 @@ RESTS = np.array([0.02, 0.02, 0.02, 0.04])
 """Largest range of x, y, z [m] and yaw [rad] over the window of a vehicle at rest."""
 
 SPREAD, SAMPLES = 5.0, 100.0
-"""Range of about ten poses at rest, in standard deviations of their noise; number of poses that determine the latter."""
+"""Range of about ten poses at rest, in standard deviations of their noise; number of poses that determine these."""
 
 LOW = 0.05
 """Height above the lowest seen so far up to which the vehicle may be on the ground [m]."""

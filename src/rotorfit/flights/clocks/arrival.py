@@ -47,8 +47,8 @@ BLOCK = 30
 """Number of messages in a block."""
 
 PROMPT = 0.3
-"""The earliest message in every tenth of the log must be late by less than this share of that spread; a lost message,
-or an irregular sender, raises it."""
+"""The earliest message in every tenth of the log must be late by less than this share of that spread, and of the
+period: a lost message, or an irregular sender, raises it."""
 
 
 @dataclass(frozen=True)
@@ -90,19 +90,19 @@ def straightened(arrival: Stamps) -> Straight | None:
         return None
     start, period = line_below(np.arange(time.size, dtype=float), time)
     late = time - start - period * np.arange(time.size)
-    if not _steady(late):
+    if not _steady(late, period):
         return None
     stamps = arrival.copy()
     stamps[rows] -= np.round(late * 1e9).astype(np.int64)
     return Straight(stamps, period, float(np.mean(late)), float(np.percentile(late, 95)))
 
 
-def _steady(late: Array) -> bool:
+def _steady(late: Array, period: float) -> bool:
     """Whether the lateness comes and goes, and some message in every tenth of the log arrives promptly."""
     blocks = late[: late.size // BLOCK * BLOCK].reshape(-1, BLOCK)
     within = float(np.median(np.ptp(np.percentile(blocks, (5, 95), axis=1), axis=0)))
     earliest = [float(np.min(part)) for part in np.array_split(late, 10)]
-    return float(np.ptp(np.percentile(late, (5, 95)))) < STEADY * within and max(earliest) < PROMPT * within
+    return float(np.ptp(np.percentile(late, (5, 95)))) < STEADY * within and max(earliest) < PROMPT * min(within, period)
 
 
 _HEADER, _RECORDER = "header.stamp", "log_time"
