@@ -73,6 +73,17 @@ def test_a_combination_that_is_known_stands_in_for_its_parts() -> None:
     assert "total lag" not in found
 
 
+def test_a_combination_of_an_axis_that_must_not_be_used_does_not_stand_in_for_its_parts() -> None:
+    parts = {"steady_gain": Combination(1.5, (1.4, 1.6))}
+
+    found = summary_of_model(
+        model({"z": axis(parts, damping="not_identifiable")}, [finding("error", "z")]), axes=("z",)
+    )
+
+    assert "steady gain" not in found
+    assert "Do not use z" in found
+
+
 def test_a_time_whose_interval_begins_near_zero_is_told_and_a_gain_of_such_a_ratio_is_not() -> None:
     parts = {"steady_gain": Combination(1.0, (0.01, 5.0)), "total_lag": Combination(0.15, (0.01, 0.3))}
 

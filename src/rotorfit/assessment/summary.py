@@ -44,7 +44,8 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     sentences = [f"Fitted to {flights} by {label_of(model.method)}{BELIEVED * bool(model.prior)}."]
     if whole:
         sentences.append(f"Known: {listed([_NAMES[name] for name in coefficients])} of {listed(whole)}.")
-    sentences += [_partly_known(axis, model.axes[axis]) for axis in partly]
+    spoiled = _spoiled(model, wanted)
+    sentences += [_partly_known(axis, model.axes[axis], axis not in spoiled) for axis in partly]
     unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
     groups = {why: [axis for axis, status in unknown.items() if status == why] for why in _REASONS}
     if reasons := [_REASONS[why].format(listed(group, "or")) for why, group in groups.items() if group]:
@@ -54,8 +55,14 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     return " ".join([*sentences, *_warnings(model, wanted)])
 
 
-def _partly_known(axis: str, known: Axis) -> str:
-    """What is known of an axis if not every coefficient is."""
+def _spoiled(model: Model, wanted: Sequence[str]) -> list[str]:
+    """The axes that a finding forbids to use."""
+    errors = {finding.axis for finding in model.findings if finding.severity == "error"}
+    return [axis for axis in wanted if axis in errors or (None in errors and model.axes[axis].predictor)]
+
+
+def _partly_known(axis: str, known: Axis, usable: bool) -> str:
+    """What is known of an axis if not every coefficient is; combinations only of an axis that may be used."""
     given = given_by_law(known.structure)
     good = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "ok" and name not in given]
     lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] not in ("ok", "refuted")]
@@ -69,7 +76,9 @@ def _partly_known(axis: str, known: Axis) -> str:
     elif not lost:
         return f"{head}its law has no {listed([_NAMES[name] for name in given])}."
     combined = [
-        f"{name.replace('_', ' ')} {_range(part)}" for name, part in known.combinations.items() if _told(name, part)
+        f"{name.replace('_', ' ')} {_range(part)}"
+        for name, part in known.combinations.items()
+        if usable and _told(name, part)
     ]
     instead = f", but {listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
     return f"{head}{listed(lost)} cannot be identified from these data{instead}."
@@ -90,8 +99,7 @@ def _range(part: Combination) -> str:
 def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
     """What must be read first; empty if there is nothing."""
     concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
-    errors = {finding.axis for finding in concerned if finding.severity == "error"}
-    spoiled = [axis for axis in wanted if axis in errors or (None in errors and model.axes[axis].predictor)]
+    spoiled = _spoiled(model, wanted)
     warnings = sum(finding.severity == "warning" for finding in told_together(concerned))
     if spoiled:
         yield f"Do not use {listed(spoiled)} before you have read the findings."

@@ -102,7 +102,9 @@ def _steady(late: Array, period: float) -> bool:
     blocks = late[: late.size // BLOCK * BLOCK].reshape(-1, BLOCK)
     within = float(np.median(np.ptp(np.percentile(blocks, (5, 95), axis=1), axis=0)))
     earliest = [float(np.min(part)) for part in np.array_split(late, 10)]
-    return float(np.ptp(np.percentile(late, (5, 95)))) < STEADY * within and max(earliest) < PROMPT * min(within, period)
+    return float(np.ptp(np.percentile(late, (5, 95)))) < STEADY * within and max(earliest) < PROMPT * min(
+        within, period
+    )
 
 
 _HEADER, _RECORDER = "header.stamp", "log_time"
