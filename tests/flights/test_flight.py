@@ -350,6 +350,19 @@ def test_a_single_stray_stamp_costs_one_sample(what: str, row: int, stamp: float
     assert flight.duration == pytest.approx(10.1, abs=0.2)
 
 
+@pytest.mark.parametrize("length", [86_400.0, 4294.967296])
+def test_a_clock_that_starts_again_goes_on(length: float) -> None:
+    tables = {"command": commands(start=length - 6.0), "pose": poses(start=length - 7.0)}
+    for table in tables.values():
+        table["t"] = np.where(table["t"] < length, table["t"], table["t"] - length)
+
+    flight = flight_of(tables["command"], tables["pose"])
+
+    assert counts(flight)["clock_continued"] > 0
+    assert flight.duration == pytest.approx(10.1, abs=0.02)
+    assert "command_stamps_reversed" not in counts(flight)
+
+
 @pytest.mark.parametrize("what", ["command", "pose"])
 def test_repeated_and_reversed_stamps_are_dropped_with_their_counts(what: str) -> None:
     tables = {"command": commands(), "pose": poses()}

@@ -35,6 +35,12 @@ COARSE = 4.0
 AHEAD, APART = 10**9, 3600 * 10**9
 """Steps of the clock beyond which a single stamp is stray [ns]: there and back, and at either end."""
 
+ROUND = (2**32 * 10**3, 2**32 * 10**6, 43_200 * 10**9, 86_400 * 10**9)
+"""After how long clocks start again [ns]: a counter of microseconds or milliseconds with 32 bits, and times of day."""
+
+OVER_THE_END = 10**9
+"""Longest step over the end of such a clock [ns]."""
+
 _NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
@@ -153,6 +159,17 @@ def stray(stamps: Stamps) -> Mask:
     out[1:-1] = (steps[:-1] > AHEAD) & (steps[1:] < -AHEAD) & (stamps[2:] > stamps[:-2])
     out[0] = steps[0] > APART or (steps[0] < -AHEAD and steps[1] > 0)
     out[-1] = steps[-1] > APART
+    return out
+
+
+def continued(stamps: Stamps) -> Stamps:
+    """Stamps of a clock that starts again, from midnight or from the end of its counter, as if it went on."""
+    out = stamps.copy()
+    there = np.flatnonzero(stamps != MISSING_STAMP)
+    steps = np.diff(stamps[there])
+    for i in np.flatnonzero(steps < -AHEAD):
+        length = next((one for one in ROUND if 0 <= int(steps[i]) + one < OVER_THE_END), 0)
+        out[there[i + 1 :]] += length
     return out
 
 

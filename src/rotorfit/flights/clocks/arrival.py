@@ -20,7 +20,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
 from rotorfit.flights.clocks.lower_line import line_below
 from rotorfit.flights.columns import table_of
-from rotorfit.flights.stamps import MISSING_STAMP, Stamps, rate, stamps_of
+from rotorfit.flights.stamps import MISSING_STAMP, Stamps, continued, rate, stamps_of
 
 FEWEST = 400
 """Least number of messages from which a rate is estimated."""
@@ -131,6 +131,13 @@ def with_sound_stamps(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
     notes: list[Note] = []
     streams = {"command": card.command_time, "pose": card.pose_time}
     tables = {what: table_of(log, str(time.source))[0] for what, time in streams.items()}
+    for time in dict.fromkeys(streams.values()):
+        table, name = table_of(log, str(time.source))
+        stamps = stamps_of(log, time)
+        whole = continued(stamps)
+        if (count := int(np.sum(whole != stamps))) and (table.name, name) not in log.retimed:
+            log = replace(log, retimed={**log.retimed, (table.name, name): whole})
+            notes.append(Note("clock_continued", f"{count} stamps of {name} come after it started again", count))
     for what, time in streams.items():
         table, name = table_of(log, str(time.source))
         clock, arrived = time, name == _RECORDER or (what == "pose" and name != _HEADER)
