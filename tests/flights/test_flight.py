@@ -17,7 +17,7 @@ from rotorfit.core.frames import world_from_heading
 from rotorfit.core.log import Log, Table
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.logs import read
-from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.assemble import ACTS_AFTER, flight_from_log
 
 CARD = {
     "command": {"time": "cmd:t", "x": "cmd:x", "y": "cmd:y", "z": "cmd:z", "yaw": "cmd:yaw"},
@@ -276,9 +276,9 @@ def test_world_commands_are_turned_by_the_measured_yaw_also_while_held() -> None
 
     flight = flight_of(cmd, pose, card=card)
 
-    at = np.linspace(0.0, 9.9, 2000)
+    at = np.linspace(0.0, 9.8, 2000)
     world = np.stack([cmd["x"], cmd["y"]], axis=1)[np.floor(at).astype(int)]
-    error = world_from_heading(acting(flight, at)[:, :2], 0.8 * at) - world
+    error = world_from_heading(acting(flight, at)[:, :2], 0.8 * (at + ACTS_AFTER)) - world
     assert np.max(np.abs(error)) < 1.5 * np.radians(0.5 + 0.8 * np.degrees(0.01))
     assert np.all(np.diff(flight.command_time) > 0)
     assert counts(flight)["world_commands"] == 10

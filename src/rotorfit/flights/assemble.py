@@ -120,6 +120,9 @@ def _stay(level: Array) -> int:
 
 _TURN = np.radians(0.5)
 
+ACTS_AFTER = 0.15
+"""Time after which a command acts [s], 0.05 to 0.3 s on multirotors, for turning it from the world into the heading."""
+
 
 def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None] = (None, None)) -> Flight:
     """Takes commands and poses from a log according to the card, repairs them, and cuts them to the common window.
@@ -319,7 +322,11 @@ def _cut_notes(seen: Mask, segments: tuple[Segment, ...], heading: Array, yaw: A
 def _in_heading_frame(
     command_time: Array, command: Array, command_end: Array, pose_time: Array, yaw: Array
 ) -> tuple[Array, Array, Note]:
-    """Rotates world commands into the heading frame and adds commands where the vehicle turns while one is held."""
+    """Rotates world commands into the heading frame and adds commands where the vehicle turns while one is held.
+
+    The heading counts when a command acts, not when it is sent.
+    """
+    yaw = np.interp(pose_time + ACTS_AFTER, pose_time, yaw)
     held = np.searchsorted(command_time, pose_time, side="right") - 1
     acting = (held >= 0) & (pose_time < command_end[np.maximum(held, 0)])
     at_command = np.interp(command_time, pose_time, yaw).tolist()
