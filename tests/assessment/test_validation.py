@@ -298,6 +298,21 @@ def test_commands_of_another_sign_or_unit_are_the_cards_and_not_the_models(facto
     assert ratio == pytest.approx(1 / factor, rel=0.2)
 
 
+def test_a_misread_flight_hides_nothing_that_another_flight_says_of_the_model() -> None:
+    flight, k = flight_of(), AXES.index("y")
+    later = of(y=Predictor(GAMMA_B[2], GAMMA_B[3], 0.35))
+    command = flight_of(4).command.copy()
+    command[:, k] *= -1
+    misread = replace(flight_of(4), command=command, path="misread.csv")
+
+    alone = {one.code for one in validate(later, [flight]).findings if one.axis == "y"}
+    beside = validate(later, [flight, misread]).findings
+
+    assert "residuals_follow_command" in alone
+    assert alone <= {one.code for one in beside if one.axis == "y" and "misread" not in one.evidence}
+    assert [one.code for one in beside if "misread" in one.evidence] == ["card_differs"]
+
+
 def test_errors_of_the_data_of_a_flight_are_told_first() -> None:
     wrong = Finding("axes_exchanged", "error", "x acts left", "none of it is the vehicle's", "exchange the columns")
     flight = replace(flight_of(), findings=(wrong,))

@@ -309,3 +309,13 @@ def test_on_other_clean_flights_each_test_fires_at_its_rate_and_no_finding_comes
     assert n == 60 * len(AXES)
     assert np.all((fired > 0.015 * n) & (fired < 0.095 * n)), fired
     assert found <= 3
+
+
+def test_the_classic_test_is_silent_on_white_noise_of_which_poses_are_lost() -> None:
+    rejected = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        time = TIME[rng.uniform(size=N) > 0.1]
+        rejected += outcome(of(rng.standard_normal(time.size), time=time)).ljung_box_p < 0.05
+
+    assert rejected <= 6

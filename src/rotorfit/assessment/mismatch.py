@@ -5,7 +5,7 @@ in time removed from both. Under the right card their ratio is positive and with
 of the model: in a feedback loop, whose commands oppose the wind, 0.24 has been seen. Units differ by more.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -32,13 +32,12 @@ FASTEST_POLE = 1e3
 """Damping beyond which a response follows its command at once on the grid [1/s]."""
 
 
-def findings_of_mismatch(model: Model, flights: Sequence[Flight]) -> Iterator[Finding]:
-    """Errors of the data of flights, and axes that respond backwards or by several times what the model says."""
-    for flight in flights:
-        wrong = [finding for finding in flight.findings if finding.severity == "error"]
-        yield from (replace(each, evidence=f"{each.evidence} ({flight.path})") for each in wrong)
-        if not wrong:
-            yield from _ratios(model, flight)
+def findings_of_mismatch(model: Model, flight: Flight) -> Iterator[Finding]:
+    """Errors of the data of a flight, and axes that respond backwards or by several times what the model says."""
+    wrong = [finding for finding in flight.findings if finding.severity == "error"]
+    yield from (replace(each, evidence=f"{each.evidence} ({flight.path})") for each in wrong)
+    if not wrong:
+        yield from _ratios(model, flight)
 
 
 def beginning(flight: Flight) -> Flight:

@@ -116,19 +116,23 @@ def validate(
         bands.append({axis: held[axis] for axis in AXES if model.axes[axis].predictor})
         tests.append(residual_tests_of_flight(model, flight))
     responses = response_test(model, flights)
+    misread = [tuple(findings_of_mismatch(model, flight)) for flight in flights]
+    touched = [{finding.axis for finding in each} for each in misread]  # of these a flight says nothing about the model
     counted = tuple(() if each.fitted else each.moved for each in scores["model"])
     found = [
         finding
-        for flight, axes in zip(flights, tests, strict=True)
+        for flight, axes, wrong in zip(flights, tests, touched, strict=True)
         for axis, each in axes.items()
+        if not wrong & {axis, None}
         for finding in findings_of_residuals(axis, each, flight.path)
     ]
-    found += findings_of_responses(responses)
-    misread = tuple(findings_of_mismatch(model, flights))
-    touched = {finding.axis for finding in misread}
-    if touched:  # what the residuals of a misread flight say is no finding about the model
-        found = [finding for finding in found if not touched & {finding.axis, None}]
-    found = [*misread, *sorted(found, key=lambda finding: finding.severity == "info")]
+    found += findings_of_responses(
+        [
+            {axis: each for axis, each in axes.items() if not wrong & {axis, None}}
+            for axes, wrong in zip(responses, touched, strict=True)
+        ]
+    )
+    found = [*(one for each in misread for one in each), *sorted(found, key=lambda finding: finding.severity == "info")]
     return Validation(
         flights=tuple(scores["model"]),
         baselines={name: tuple(scores[name]) for name in BASELINES},

@@ -114,7 +114,7 @@ def residual_tests(
         return None
     found = autocorrelation(innovations.time, e)
     n, lags = e.size, found.lag.size
-    classic = float(n * (n + 2) * np.sum(found.value**2 / (n - np.arange(1, lags + 1))))
+    classic = float(n * (n + 2) * np.sum(found.value**2 * _pair_shares(innovations.time, lags)))
     told = found.band > 0  # a predictor without any error has no band, nor has a lag longer than every piece
     robust = float(np.sum((NORMAL * found.value[told] / found.band[told]) ** 2))
     command_p, freedom = _independence(innovations, covariance)
@@ -197,6 +197,12 @@ def _pieces(time: Array) -> Array:
     """Number of the piece between gaps that each block lies in, shape (B,)."""
     steps = np.diff(time)
     return np.concatenate([[0], np.cumsum(steps >= GAP * np.median(steps))])
+
+
+def _pair_shares(time: Array, lags: int) -> Array:
+    """Pairs within a piece at lags 1, 2, ..., over the square of all pairs at the lag, shape (lags,)."""
+    piece, n = _pieces(time), time.size
+    return np.array([np.sum(piece[k:] == piece[:-k]) / (n - k) ** 2 for k in range(1, lags + 1)])
 
 
 def _lag_count(time: Array, reach: float) -> int:

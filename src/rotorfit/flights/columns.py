@@ -279,7 +279,7 @@ _CLOCKS = (
     "clock",
 )
 
-_EPOCH = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+_PER_SECOND = {None: 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 SINCE_1970 = 0.9e9, 4.1e9
 """Seconds from 1970 to the years 1998 and 2099."""
@@ -310,21 +310,24 @@ def clock_of(log: Log, table: Table, count: int) -> Channel | None:
     time = Channel(source_of(log, table, names[0]), unit="us" if of_ulog else unit_of_name(names[0]))
     if time.unit is not None or plain_name(names[0]) in _CLOCKS[:2]:
         return time
-    stamps = table.columns[names[0]].astype(np.float64).ravel()
-    return replace(time, unit=_since_1970(stamps) or _by_step(stamps))
+    return replace(time, unit=_likely_unit(table.columns[names[0]].astype(np.float64).ravel()))
 
 
-def _since_1970(stamps: Array) -> str | None:
-    """The unit in which stamps count from 1970; None if in none but seconds."""
-    largest = float(np.max(np.abs(stamps), initial=0.0, where=np.isfinite(stamps)))
-    return next((unit for unit, size in _EPOCH.items() if SINCE_1970[0] * size < largest < SINCE_1970[1] * size), None)
+def _likely_unit(stamps: Array) -> str | None:
+    """The unit of stamps, None for seconds: by their step, between 10 kHz and 1/3 Hz, and by the years since 1970.
 
-
-def _by_step(stamps: Array) -> str | None:
-    """The unit that gives stamps a rate between 2.5 kHz and 2.5 Hz, in ms between 1 kHz and 1 Hz; None for seconds."""
-    steps = np.diff(stamps)
-    step = float(np.median(steps[steps > 0]))
-    return "ns" if step >= 4e5 else "us" if step >= 400 else "ms" if step >= 0.999 else None
+    Where both leave two open, whole numbers at 1 kHz to 1 Hz are ms, us or ns; seconds in which several samples fall
+    are seconds.
+    """
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    step, largest = float(np.median(steps[steps > 0])), float(np.nanmax(np.abs(stamps)))
+    units = [(unit, size) for unit, size in _PER_SECOND.items() if 1e-4 <= step / size <= 3.0]
+    for unit, size in units:
+        if SINCE_1970[0] < largest / size < SINCE_1970[1]:
+            return unit
+    if np.median(steps) <= 0 or np.any(stamps % 1 != 0):
+        return units[0][0] if units else None
+    return next((unit for unit, size in reversed(units) if step / size >= 0.999e-3), None)
 
 
 def clocks_of(table: Table, count: int) -> list[str]:

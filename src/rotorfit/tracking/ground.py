@@ -26,6 +26,13 @@ RESTS = np.array([0.02, 0.02, 0.02, 0.04])
 SPREAD, SAMPLES = 5.0, 100.0
 """Range of about ten poses at rest, in standard deviations of their noise; number of poses that determine these."""
 
+LEAVES = 2.5
+"""How much more noise a vehicle on the ground may show before it counts as moving."""
+
+FAST, NOISIEST = 0.05, np.array([0.015, 0.015, 0.015, 0.03])
+"""Longest period of poses whose noise is determined [s], and the largest noise [m, rad] that may rest: a fifth of the
+range that slow flight covers in a window."""
+
 LOW = 0.05
 """Height above the lowest seen so far up to which the vehicle may be on the ground [m]."""
 
@@ -59,7 +66,7 @@ class Ground:
         self._since: float | None = None
         self._obeys, self._allowed = True, -np.inf  # when the commands were last obeyed again
         self._recent: deque[tuple[float, Array]] = deque()
-        self._last: list[Array] = []  # the two poses before
+        self._last: list[tuple[float, Array]] = []  # the last three poses
         self._noise, self._count = np.zeros(4), 0.0  # of the poses, from their second differences
         self._looked = -np.inf
         self._asked = -np.inf  # when a command last asked for anything
@@ -79,7 +86,7 @@ class Ground:
 
     def low(self, height: float) -> bool:
         """Whether a height [m] may be that of the ground."""
-        return height <= self.level + float(np.hypot(LOW, SPREAD / 2 * self._noise[2]))
+        return height <= self.level + float(np.hypot(LOW, SPREAD / 2 * min(self._noise[2], NOISIEST[2])))
 
     def asked_within(self, now: float, time: float) -> bool:
         """Whether a non-zero command came in the last `time` seconds before `now` [s]."""
@@ -117,7 +124,7 @@ class Ground:
             time: Its stamp [s].
             pose: World x, y, z [m] and unwrapped yaw [rad], shape (4,).
         """
-        self._hear(pose)
+        self._hear(time, pose)
         if time - self._looked < EVERY:
             return
         self._looked = time
@@ -140,7 +147,7 @@ class Ground:
             self._sank = time
         climb = float(past[-1, 2] - past[len(past) // 2, 2]) / max(time - self._recent[len(past) // 2][0], EVERY)
         silent = not self.asked_within(time, SILENT)
-        rests = bool(np.all(ranges <= np.hypot(RESTS, SPREAD * self._noise)))
+        rests = self._still(past, 1.0)
         self._alone = LET_GO < time - self._asked < 2 * SILENT and abs(climb) > CALM
         if self._since is None:
             if rests and (self.low(float(pose[2])) or (sinks and self._looked - self._sank < 3 * WINDOW)):
@@ -149,21 +156,34 @@ class Ground:
                 self._since = max(self._asked + SILENT, begun)
             return
         moving_by_itself = silent and (abs(climb) > CALM or self.low(float(pose[2])))
-        if self._obeys and not rests and not moving_by_itself:
+        if self._obeys and not self._still(past, LEAVES) and not moving_by_itself:
             sideways = int(np.argmax(ranges / RESTS)) != 2
             end = max(time - BEGUN, self._since) if sideways else time
             self._closed.append((self._since, max(end, self._allowed)))
             self._since = None
 
-    def _hear(self, pose: Array) -> None:
-        """Updates the noise of the poses: what a pose differs from the line through the two before is noise."""
-        if len(self._last) == 2:
-            self._count = min(self._count + 1.0, SAMPLES)
-            off = np.abs(pose - 2 * self._last[1] + self._last[0]) / (6**0.5 * 0.8)  # mean of the absolute value
-            if self._count == SAMPLES:
-                off = np.minimum(off, SPREAD * self._noise + 1e-6)  # no jump
-            self._noise += (off - self._noise) / self._count
-        self._last = [*self._last[-1:], pose]
+    def _hear(self, time: float, pose: Array) -> None:
+        """Updates the noise of the poses: what a pose differs from the line through the two before it.
+
+        Only from poses that come so fast that no acceleration shows, and up to a noise that hides no slow flight.
+        """
+        self._last = [*self._last[-2:], (time, pose)]
+        if len(self._last) < 3 or time - self._last[0][0] > 2 * FAST:
+            return
+        (first, a), (second, b), _ = self._last
+        ahead = (time - second) / max(second - first, 1e-6)
+        off = np.abs(pose - b - ahead * (b - a)) / (0.8 * np.sqrt(1 + (1 + ahead) ** 2 + ahead**2))  # mean of |N(0, 1)|
+        self._count = min(self._count + 1.0, SAMPLES)
+        if self._count == SAMPLES:
+            off = np.minimum(off, SPREAD * self._noise + 1e-6)  # no jump
+        self._noise += (off - self._noise) / self._count
+
+    def _still(self, past: Array, factor: float) -> bool:
+        """Whether poses over the window, shape (N, 4), stay in place, as far as a multiple of their noise tells."""
+        noise, half = factor * np.minimum(self._noise, NOISIEST), len(past) // 2
+        drift = np.abs(past[half:].mean(axis=0) - past[:half].mean(axis=0))
+        within = np.ptp(past, axis=0) <= np.hypot(RESTS, SPREAD * noise)
+        return bool(np.all(within & (drift <= np.hypot(RESTS / 2, noise))))
 
     def _slowed(self, height: Array) -> bool:
         """Whether a vehicle that sank over the window has stopped within the last `HELD_UP`."""

@@ -243,11 +243,17 @@ class Studio:
         )
 
     def _recorded(self, path: Path) -> None:
-        """Copies a recording into the session; it is removed only once the copy is a log."""
+        """Makes a recording a log of the session; its name among the recordings goes only then.
+
+        It stays the same file, to which a tracker that outlives its studio may write on for a moment.
+        """
         with self.workspace.incoming(path.name) as (log_id, place):
-            with path.open("rb") as recording, place.open("xb") as file:
-                shutil.copyfileobj(recording, file)
-                _synced(file)
+            try:
+                place.hardlink_to(path)
+            except OSError:  # a file system without links
+                shutil.copyfile(path, place)
+            with place.open("rb") as file:
+                os.fsync(file.fileno())
             self._kept(Upload(log_id, path.name, place.name, place.stat().st_size, ""))
         path.unlink()
 
