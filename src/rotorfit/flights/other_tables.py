@@ -24,6 +24,7 @@ from rotorfit.flights.stamps import (
     increasing,
     median_period,
     stamps_of,
+    stray,
 )
 
 TOGETHER = 0.1
@@ -128,9 +129,11 @@ def whole_rows(log: Log, time: Channel, channels: Sequence[Channel]) -> tuple[St
 
 
 def sound_samples(clock: Stamps, values: Array) -> tuple[Stamps, Array]:
-    """The samples in increasing order, without missing stamps and NaN."""
+    """The samples in increasing order, without missing or stray stamps and NaN."""
     good = (clock != MISSING_STAMP) & np.isfinite(values)
     clock, values = clock[good], values[good]
+    alone = stray(clock)
+    clock, values = clock[~alone], values[~alone]
     ordered = increasing(clock)
     return clock[ordered], values[ordered]
 
