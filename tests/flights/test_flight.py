@@ -323,6 +323,17 @@ def test_stale_poses_are_dropped_and_the_first_of_a_run_stays() -> None:
     np.testing.assert_allclose(np.diff(flight.pose_time), 0.03, atol=1e-9)
 
 
+@pytest.mark.parametrize("times", [2, 4])
+def test_a_pose_in_centimetres_that_is_sent_several_times_is_stale(times: int) -> None:
+    pose = {name: values if name == "t" else np.round(values, 2) for name, values in poses(period=0.04).items()}
+    again = {name: np.repeat(values, times) for name, values in pose.items()}
+    again["t"] += np.tile(np.arange(times) * 0.04 / times, len(pose["t"]))
+
+    flight = flight_of(pose=again)
+
+    assert len(flight.pose_time) == pytest.approx(253, abs=10)
+
+
 def test_a_pose_in_centimetres_repeats_genuinely() -> None:
     pose = {name: values if name == "t" else np.round(values, 2) for name, values in poses(period=0.002).items()}
 

@@ -35,6 +35,9 @@ COARSE = 4.0
 AHEAD, APART = 10**9, 3600 * 10**9
 """Steps of the clock beyond which a single stamp is stray [ns]: there and back, and at either end."""
 
+FEW, FEWEST_REPEATS, TOGETHER = 0.15, 20, 50
+"""Share below which what rounding does not do is chance; least number of pauses that decide; rows that are compared."""
+
 ROUND = (2**32 * 10**3, 2**32 * 10**6, 43_200 * 10**9, 86_400 * 10**9)
 """After how long clocks start again [ns]: a counter of microseconds or milliseconds with 32 bits, and times of day."""
 
@@ -205,6 +208,29 @@ def coarse(values: Array) -> bool:
     """Whether all columns of values (N, K) that change are so coarse that equal neighbours are genuine."""
     moving = np.ptp(values, axis=0) > 0
     return bool(np.all(grain(values[:, moving]) > 0))
+
+
+def rounded_repeats(values: Array) -> bool:
+    """Whether rows of shape (N, K) that repeat the row before are due to rounding, and not to a sample sent twice.
+
+    Rounded columns change each at its own time, by one step after a pause, and at no regular interval. What is sent
+    twice changes in all columns at once, by several steps, or at every n-th row.
+    """
+    step = grain(values)
+    moving = np.ptp(values, axis=0) > 0
+    if not np.any(moving) or not np.all(step[moving] > 0):
+        return False
+    moved = np.abs(np.diff(values[:, moving], axis=0)) / step[moving]
+    changes = moved > 0.5
+    new = np.flatnonzero(np.any(changes, axis=1))
+    paused = new[1:][np.diff(new) > 1]
+    if paused.size < FEWEST_REPEATS or np.mean(np.any(moved[paused] > 1.5, axis=1)) > FEW:
+        return False
+    parts = np.array_split(changes, max(len(changes) // TOGETHER, 1))
+    seen = sum(len(part) * float(np.mean(~np.any(part, axis=1))) for part in parts)
+    alone = sum(len(part) * float(np.prod(1 - np.mean(part, axis=0))) for part in parts)
+    regular = max(np.max(np.bincount(new % n, minlength=n)) / new.size - 1 / n for n in range(2, 11))
+    return bool(seen < (1 + FEW) * alone and regular < FEW)
 
 
 def held(clock: Stamps, values: Array, at: Stamps) -> Array:

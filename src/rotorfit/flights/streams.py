@@ -36,6 +36,7 @@ from rotorfit.flights.stamps import (
     held,
     increasing,
     median_period,
+    rounded_repeats,
     stamps_of,
     stray,
 )
@@ -128,7 +129,7 @@ def poses_of(log: Log, card: Card) -> Stream:
     values = np.stack([x, y, z, yaw], axis=1)
     stream = in_order(numbers(Stream("pose", stamps, values, np.full(len(stamps), NEVER), notes), log), log)
     seen = stream.values[:, own] if any(own) else stream.values  # values interpolated from other tables are never stale
-    if not coarse(seen):  # centimetres and whole degrees genuinely repeat, and what is left would lead the motion
+    if not (coarse(seen) if card.velocity_only else rounded_repeats(seen)):  # else what is left would lead the motion
         stream = keep_samples(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
     if len(stream.stamps) < 2 or not (card.velocity_only or np.any(np.ptp(seen, axis=0))):
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
