@@ -270,6 +270,23 @@ def test_blank_cells_of_a_file_of_rows_are_no_values_of_a_state() -> None:
     np.testing.assert_array_equal(flight.reference[:, 0], 1.5)
 
 
+def test_a_state_beside_the_commands_of_a_file_of_rows_is_unknown_where_it_is_blank() -> None:
+    log = log_of()
+    columns = {f"c{name}": values for name, values in log.tables["cmd"].columns.items() if name != "t"}
+    columns |= dict(log.tables["pose"].columns) | {"mode": np.where((T > 10) & (T < 30), np.nan, 1.0)}
+    rows = Log(Path("flight.csv"), "csv", "0" * 64, {"flight": Table("flight", columns)}, {})
+    raw = {
+        "command": {"time": "t", "x": "cx", "z": "cz"},
+        "pose": {"time": "t", "x": "x", "y": "y", "z": "z", "yaw": "yaw"},
+        "window": [{"when": "mode"}],
+    }
+
+    flight = flight_from_log(rows, card_from_mapping(raw, "test"))
+
+    assert len(flight.segments) == 2
+    assert flight.duration == pytest.approx(20.0, abs=0.3)
+
+
 def test_messages_of_one_step_belong_together_though_one_is_written_after_the_other() -> None:
     east = {"t": T + 40e-6, "v": np.cos(T)}
 

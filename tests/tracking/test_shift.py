@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotorfit.core.frames import AXES
+from rotorfit.estimation.likelihood.likelihood import whiten
 from rotorfit.tracking.changes import contrast
 from rotorfit.tracking.refits import refitted
-from rotorfit.tracking.scores import Scores, scores_of
+from rotorfit.tracking.scores import EXPECTED, Scores, scores_of
 from rotorfit.tracking.shift import shift_interval
 from tracked_flights import LAW, known_flight
 
@@ -22,6 +24,34 @@ def both() -> list[Scores]:
     """Those of z and of yaw, 30 s."""
     found = [refitted(known_flight(), (axis,), LAW, 30.0) for axis in ("z", "yaw")]
     return scores_of([(list(one.estimates.items()), {}) for one in found])
+
+
+@pytest.mark.parametrize("later", [0.05, 0.1])
+def test_the_sensitivity_of_a_delay_that_begins_is_the_difference_of_the_motions(later: float) -> None:
+    """Both integrated step by step: from the instant on every command acts later, and the motion before is the same."""
+    flight = known_flight()
+    followed = refitted(flight, ("z",), LAW, 30.0)
+    (rec,), point = followed.estimates["z"].records, followed.estimates["z"].optimum.point
+    scores, fine, begun = scores_of([(list(followed.estimates.items()), {})])[0], 1e-3, float(rec.block_time[-1]) - 3.0
+    gain, damping = float(point.gain[0]), float(np.exp(point.log_damping[0]))
+    t = np.arange(begun, rec.block_time[-1] + 2 * fine, fine)
+
+    def acting(delay: float) -> np.ndarray:
+        held = np.searchsorted(flight.command_time, t - delay, side="right") - 1
+        return flight.command[np.maximum(held, 0), AXES.index("z")]
+
+    push = gain * (acting(float(point.delay[0]) + later) - acting(float(point.delay[0])))
+    velocity, position = np.zeros(t.size), np.zeros(t.size)
+    for k in range(1, t.size):
+        velocity[k] = velocity[k - 1] + fine * (push[k - 1] - damping * velocity[k - 1])
+        position[k] = position[k - 1] + fine * velocity[k - 1]
+    column = np.interp(rec.block_time, t, position, left=0.0)[:, None, None]
+    expected = whiten(rec, column, point.levels)[0][:, 0, 0]
+
+    found = later / EXPECTED["delay"] * scores.begun(begun, later)[:, scores.names.index("z.delay")]
+
+    assert np.linalg.norm(expected) > 5.0
+    assert np.linalg.norm(found - expected) < 0.2 * np.linalg.norm(expected)
 
 
 def shifted(both: list[Scores], size: float, begun: float, seed: int) -> list[Scores]:

@@ -168,7 +168,7 @@ def state_samples(log: Log, card: Card, channel: Channel, what: str) -> tuple[St
     """Stamps and values of a state in any table, each of shape (N,), with NaN as recorded but without blank cells.
 
     Its clock is that of the commands or of the poses where it is in their table with as many values, else its own.
-    In a file of rows a state is as it was until the next row that holds it.
+    In a file of rows a state is as it was until the next row that holds it, unless it is recorded beside the commands.
 
     Args:
         log: As recorded.
@@ -186,7 +186,13 @@ def state_samples(log: Log, card: Card, channel: Channel, what: str) -> tuple[St
     if clock is None:
         raise CardError(f"{log.path}: no time stamps for {what} {channel.source} ({len(values)} values)")
     shared = min(len(clock), len(values))
-    told = np.isfinite(values[:shared]) | (not _of_rows(log, channel))
+    told = np.isfinite(values[:shared])
+    if not _of_rows(log, channel):
+        told[:] = True
+    elif table_of(log, str(channel.source))[0] is table_of(log, str(card.command_time.source))[0]:
+        own = sample_rows(log, card.command_time, card.command)[:shared]
+        if own.size == shared and np.sum(own & told) > np.sum(told) / 2:  # it is recorded beside the commands
+            told |= own
     return clock[:shared][told], values[:shared][told]
 
 

@@ -96,11 +96,11 @@ def _proof(case: Case, uses: Sequence[Use]) -> list[Step]:
     if unproven:
         what = f"Fly {and_list(unproven)} once more, and keep that flight out of the fit."
         why = "Without a flight that was not fitted nothing is proven."
-        steps.append(_flight(case, what, why, unproven))
+        steps.append(_flight(case, what, why, unproven, "proof"))
     if short:
         what = f"Fly a longer or livelier proof of {and_list(short)}."
         reasons = dict.fromkeys(use.reason for use in uses if use.answer == "limited")
-        steps.append(_flight(case, what, " ".join(sentences(list(reasons))), short))
+        steps.append(_flight(case, what, " ".join(sentences(list(reasons))), short, "proof"))
     return steps
 
 
@@ -145,11 +145,11 @@ def _fit(what: str, why: str, model: Model, structure: str, axes: Sequence[str],
     return Step(what, f"{why} The line reads card.toml, which is under Reproduce.", line)
 
 
-def _flight(case: Case, what: str, why: str, axes: Sequence[str]) -> Step:
-    """A flight of some axes, with the line that plans it if it can be planned."""
+def _flight(case: Case, what: str, why: str, axes: Sequence[str], name: str = "next") -> Step:
+    """A flight of some axes, with the line that plans it if it can be planned, and writes a plan of that name."""
     if case.model.card.command_frame != "heading":
         return Step(what, f"{why} Fly it by hand: commands in the world frame cannot be planned.", "")
-    output = f"next-{'-'.join(axes)}.toml"  # several steps may be followed
+    output = f"{name}-{'-'.join(axes)}.toml"  # several steps may be followed
     words = ["rotorfit", "plan", "--after", case.path, "--axes", ",".join(axes), "--room", ROOM, "-o", output]
     return Step(what, why, shlex.join(words))
 
