@@ -86,4 +86,3 @@ def test_where_no_window_shows_the_coefficients_there_is_no_interval(both: list[
     now = float(both[0].time[-1])
 
     assert shift_interval(both, ("x.delay",), (now - 2.0, now), now - 2.0) is None
-    assert shift_interval(both, SHARED, (now - 0.1, now), now - 1e-3) is None

@@ -13,6 +13,7 @@ from rotorfit.assessment.whiteness import REACH, findings_of_residuals, residual
 from rotorfit.core import parallel
 from rotorfit.core.error_bands import BandScore
 from rotorfit.core.errors import FlightError
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world
 from rotorfit.core.laws import FIRST_ORDER_DELAY, LEVELS_OF, Structure, structure_named
@@ -117,7 +118,7 @@ def validate(
         tests.append(residual_tests_of_flight(model, flight))
     responses = response_test(model, flights)
     misread = [tuple(findings_of_mismatch(model, flight)) for flight in flights]
-    touched = [{finding.axis for finding in each} for each in misread]  # of these a flight says nothing about the model
+    touched = [_touched(each) for each in misread]  # of these axes a flight says nothing about the model
     counted = tuple(() if each.fitted else each.moved for each in scores["model"])
     found = [
         finding
@@ -143,6 +144,12 @@ def validate(
         responses=responses,
         bands=tuple(bands),
     )
+
+
+def _touched(misread: Sequence[Finding]) -> set[str | None]:
+    """The axes that findings spoil, or None for all: x and y share a filter."""
+    axes = {finding.axis for finding in misread}
+    return axes | {"x", "y"} if axes & {"x", "y"} else axes
 
 
 def paper_dynamics(model: Model, flight: Flight | None = None) -> dict[str, AxisDynamics]:

@@ -26,7 +26,19 @@ from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import clock_of, fitting_cards, sample_count, shape_text, split_source, tables_of
 from rotorfit.flights.other_tables import sample_rows
 from rotorfit.flights.several_files import bound, flights_of
-from rotorfit.flights.stamps import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
+from rotorfit.flights.stamps import (
+    MISSING_STAMP,
+    ClockDrift,
+    ClockRelation,
+    Rate,
+    Stamps,
+    continued,
+    increasing,
+    rate,
+    relation,
+    stamps_of,
+    stray,
+)
 from rotorfit.flights.streams import recorder_clock
 
 
@@ -294,7 +306,7 @@ def _bandwidth(time: Array, values: Array) -> float | None:
 
 def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
     streams = {"command": (card.command_time, card.command), "pose": (card.pose_time, card.pose)}
-    command, pose = (stamps_of(log, time)[sample_rows(log, time, parts)] for time, parts in streams.values())
+    command, pose = (_sound(stamps_of(log, time)[sample_rows(log, time, parts)]) for time, parts in streams.values())
     stale = sum(note.count for note in flight.notes if note.code == "stale_poses")
     recorder = {name: recorder_clock(log, time, parts) for name, (time, parts) in streams.items()}
     return FlightSurvey(
@@ -310,6 +322,13 @@ def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
         notes=flight.notes,
         findings=findings_of_flight(log, flight),
     )
+
+
+def _sound(stamps: Stamps) -> Stamps:
+    """The stamps as a flight takes them: a clock that starts again goes on, and stray stamps are no samples."""
+    stamps = continued(stamps)
+    there = np.flatnonzero(stamps != MISSING_STAMP)
+    return np.delete(stamps, there[stray(stamps[there])])
 
 
 def _used(log: Log, card: Card | None) -> frozenset[str]:

@@ -276,7 +276,7 @@ def _row(values: Column, row: int, count: int | None, what: str) -> Column:
 _CLOCKS = (
     *("header_stamp", "log_time", "time", "t", "timestamp", "stamp", "seconds", "secs", "elapsed", "time_stamp"),
     *("t_sec", "time_sec", "unix_time", "epoch", "datetime", "rostime", "ros_time", "host_time", "ts", "monotonic"),
-    "clock",
+    *("clock", "sec_of_day", "seconds_of_day", "time_of_day"),
 )
 
 _PER_SECOND = {None: 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}

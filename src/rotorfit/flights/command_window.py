@@ -103,4 +103,4 @@ def _text(condition: Condition) -> str:
         return f"{source} is not above {condition.above:g}"
     if condition.opens:
         return f"the events of {source} say that it is over or has not begun"
-    return f"{source} is zero"
+    return f"{source} is zero or not known yet"

@@ -155,7 +155,10 @@ def _flight(case: Case, what: str, why: str, axes: Sequence[str], name: str = "n
 
 
 def beside_target(axis: Axis) -> Mapping[str, float]:
-    """Estimated coefficient to its standard error for the vehicle over the target; infinite where it is not known."""
+    """Estimated coefficient to its standard error for the vehicle over the target; infinite where it is not known.
+
+    An interval that other laws widen counts by its width.
+    """
     if axis.predictor is None:
         return {}
     given = given_by_law(axis.structure)
@@ -164,8 +167,8 @@ def beside_target(axis: Axis) -> Mapping[str, float]:
 
 def _beside_target(axis: Axis, name: str) -> float:
     value, error, (low, high) = getattr(axis, name), axis.stderr[name], axis.ci95[name]
-    if error is None and low is not None and high is not None:
-        error = (high - low) / (2 * NORMAL)
+    if low is not None and high is not None:
+        error = max(error or 0.0, (high - low) / (2 * NORMAL))
     if axis.status[name] != "ok" or value is None or error is None:
         return np.inf
     target = WANTED[COEFFICIENTS.index(name)]
