@@ -81,10 +81,11 @@ def _response(model: Model, flight: Flight, axis: str, time: Array) -> Array:
 
 def _finding(axis: str, flight: Flight, ratio: float) -> Finding:
     backwards = ratio < 0
+    way = ", backwards" if backwards else ""
     return Finding(
         "card_differs",
         "error",
-        f"{axis} moves {ratio:+.3g} times as fast as the model says of its commands ({flight.path})",
+        f"{axis} moves {ratio:+.3g} times what the model says of its commands{way} ({flight.path})",
         f"the scores of {axis} do not judge the model: this flight was read with another meaning of its commands or "
         "poses than those of the fit, or is of another vehicle",
         f"give the {axis} channel of [command] the sign that it has in the card of the fit"

@@ -139,13 +139,13 @@ def _band(found: "Sequence[Coverage]", axis: str) -> str:
 
 
 def residuals_view(validation: "Validation") -> View:
-    """The tests of the innovations, one line for each axis and flight, then the findings."""
+    """The tests of the innovations, one line for each axis and flight, then the findings about the model."""
     for flight, axes in zip(validation.flights, validation.residuals, strict=True):
         if axes:
             yield ""
             yield title(f"What the residuals say, {Path(flight.path).name}")
             yield from bullets([f"{axis}: {residual_line(tests)}" for axis, tests in axes.items()])
-    for finding in told_together(validation.findings):
+    for finding in told_together(one for one in validation.findings if one not in validation.misread):
         yield ""
         yield from finding_view(finding)
 

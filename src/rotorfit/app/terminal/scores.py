@@ -9,9 +9,10 @@ from rich.text import Text
 
 from rotorfit.app.terminal.frequency import responses_view
 from rotorfit.app.terminal.proof import bands_view, leave_one_out_view, paired_view, residuals_view
-from rotorfit.app.terminal.tables import View, bullets, indented, table, three_digits, title
+from rotorfit.app.terminal.tables import View, bullets, finding_view, indented, table, three_digits, title
 from rotorfit.assessment.method_comparison import Ladder, MethodRow
 from rotorfit.assessment.rows import SPEED
+from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Interval, Model
 
@@ -69,7 +70,10 @@ _AT_ONCE = 4  # horizons beside each other in 80 columns
 
 
 def validation_view(validation: "Validation") -> View:
-    """Errors of the model and of the baselines, flight by flight; paired tests; tests of the residuals."""
+    """What spoils the scores; errors of the model and of the baselines, flight by flight; paired tests; residuals."""
+    for finding in told_together(validation.misread):
+        yield from finding_view(finding)
+        yield ""
     yield from _scores_view({"model": validation.flights, **validation.baselines}, ("model",))
     yield ""
     yield from paired_view(validation.paired, validation.flights)
