@@ -212,9 +212,8 @@ def _line(key: str, channel: Channel | None, said: str = "") -> str:
         return f'# {key} = "TABLE:COLUMN"  # EDIT: nothing was recognised'
     parts = [f"from = {_quoted(channel.source)}"]
     parts += [f"scale = {channel.scale:g}"] * (channel.scale != 1)
-    parts += [f"offset = {channel.offset:g}"] * (channel.offset != 0) + [f'unit = "{channel.unit}"'] * bool(
-        channel.unit
-    )
+    parts += [f"offset = {channel.offset:g}"] * (channel.offset != 0)
+    parts += [f'unit = "{channel.unit}"'] * bool(channel.unit)
     remarks = ["unit guessed"] * bool(channel.unit) + [said] * bool(said)
     value = f"{{ {', '.join(parts)} }}" if len(parts) > 1 else _quoted(channel.source)
     return f"{key} = {value}" + (f"  # {'; '.join(remarks)}" if remarks else "")

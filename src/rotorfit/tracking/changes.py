@@ -31,7 +31,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from rotorfit.core.frames import AXES, Array, Indices
-from rotorfit.tracking.instant import instants_of, now_of
+from rotorfit.tracking.instant import FLAT, instants_of, now_of
 from rotorfit.tracking.scores import CHUNK, FADES, LASTS, WINDOWS, Scores
 
 UNLIKELY = 1e-3
@@ -78,9 +78,6 @@ scales x and y, and a mode of the autopilot z with them."""
 
 LEAST_WINDOW = WINDOWS[0]
 """Shortest window that tells which coefficients shifted [s]: a shorter one takes one shift for another."""
-
-FLAT = 1e-9
-"""Share of the largest eigenvalue below which the rows of a regime leave a combination of what it knows open."""
 
 STEP = 0.2
 """Grid spacing of the time of a change [s]."""

@@ -30,8 +30,8 @@ LEAVES = 2.5
 """How much more noise a vehicle on the ground may show before it counts as moving."""
 
 FAST, NOISIEST = 0.05, np.array([0.015, 0.015, 0.015, 0.03])
-"""Longest period of poses whose noise is determined [s], and the largest noise [m, rad] that may rest: a fifth of the
-range that slow flight covers in a window."""
+"""Longest period of poses whose noise is determined [s], and the largest noise that is allowed for [m, rad]: with more,
+flight at 0.2 m/s would look like rest."""
 
 LOW = 0.05
 """Height above the lowest seen so far up to which the vehicle may be on the ground [m]."""
