@@ -345,7 +345,7 @@ def test_a_draft_takes_the_heading_of_another_table_and_names_states_and_referen
 
 @pytest.mark.parametrize(("kind", "up"), [("motive", "y"), ("vicon", "z")])
 def test_the_body_of_motion_capture_is_found_beside_the_log_of_the_commands(kind: str, up: str) -> None:
-    parts = [f"position_{axis}" for axis in "xyz"] + [f"rotation_{part}" for part in "wxyz"]
+    parts = [f"position.{axis}" for axis in "xyz"] + [f"rotation.{part}" for part in "wxyz"]
     body = replace(log_of("take.csv", take={"time": T, **{f"drone.{part}": 0 * T + 1 for part in parts}}), format=kind)
     commands = log_of("own.csv", own={"time": T, **{f"cmd_{axis}": series for axis, series in COMMAND.items()}})
 
@@ -353,8 +353,33 @@ def test_the_body_of_motion_capture_is_found_beside_the_log_of_the_commands(kind
         text = draft_card(join_logs(logs))
 
         assert "INCOMPLETE" not in text
-        assert f'\nz = "take:drone.position_{up}"' in text
+        assert f'\nz = "take:drone.position.{up}"' in text
         assert ("# Motive has y up" in text) == (kind == "motive")
+
+
+def test_position_and_quaternion_of_motion_capture_are_of_one_body_and_a_rotation_vector_is_no_quaternion() -> None:
+    body = [f"{kind}.{part}" for kind, parts in (("rotation", "xyz"), ("quaternion", "wxyz")) for part in parts]
+    names = [f"m1.position.{axis}" for axis in "xyz"]
+    names += [f"drone.{part}" for part in (*body, *(f"position.{axis}" for axis in "xyz"))]
+    log = replace(log_of("take.csv", take={"time": T, **dict.fromkeys(names, 0 * T + 1)}), format="vicon")
+
+    text = draft_card(log)
+
+    assert '\nz = "drone.position.z"' in text
+    assert '\nquaternion = "drone.quaternion"' in text
+
+
+@pytest.mark.parametrize(("unit", "line"), [("mm", 'unit = "mm" }  # unit as the file states it'), ("m", None)])
+def test_a_length_is_in_the_unit_that_the_export_states_however_fast_the_motion(unit: str, line: str | None) -> None:
+    columns = {f"drone.rotation.{part}": 0 * T + (part == "w") for part in "wxyz"}
+    columns |= {f"drone.position.{axis}": 30 * np.sin(3 * T) for axis in "xyz"}
+    columns |= {f"cmd_{axis}": series for axis, series in COMMAND.items()}
+    log = replace(log_of("take.csv", take={"time": T, **columns}), format="vicon")
+    log = replace(log, units={("take", f"drone.position.{axis}"): unit for axis in "xyz"})
+
+    text = draft_card(log)
+
+    assert ('x = { from = "drone.position.x", ' + line in text) if line else ('x = "drone.position.x"' in text)
 
 
 # The vehicle's own velocity
@@ -575,7 +600,7 @@ def test_a_draft_takes_w_last_where_only_that_gives_a_heading_that_obeys(names: 
     card, text = drafted(true | parts, COMMAND, tmp_path)
 
     assert [card.pose[f"q{part}"].source for part in "wxyz"] == [names[3], *names[:3]]
-    assert "# w, x, y, z; by the motion: in the order of the names no command turns the vehicle" in text
+    assert "# w, x, y, z; by the pose: in the order of the names the vehicle lies on its side" in text
     assert {one.scale for one in card.command.values()} == {1}
 
 
@@ -593,6 +618,28 @@ def test_a_card_with_a_quaternion_in_the_wrong_order_is_told_the_right_one(tmp_p
     assert 'quaternion = ["qw", "qx", "qy", "qz"]' in told["quaternion_order"].remedy
     right = findings_of_flight(log, flight_from_log(log, loaded(text, tmp_path)))
     assert "quaternion_order" not in {one.code for one in right}
+
+
+@pytest.mark.parametrize(("heading", "lies"), [(0.3, False), (1.5, True), (2.5, True)])
+def test_a_draft_of_a_flight_without_turns_takes_w_last_where_the_vehicle_is_upright_and_obeys(
+    heading: float, lies: bool, tmp_path: Path
+) -> None:
+    commands = {axis: series for axis, series in COMMAND.items() if axis != "yaw"}
+    ahead = motion(world=True)
+    c, s = np.cos(heading), np.sin(heading)
+    true = {"x": c * ahead["x"] - s * ahead["y"], "y": s * ahead["x"] + c * ahead["y"], "z": 1 + ahead["z"]}
+    half, rolled = 0.5 * heading + 0 * T, 0.02 * np.sin(3 * T)
+    parts = dict(zip(("q1", "q2", "q3", "q4"), (rolled, -rolled, np.sin(half), np.cos(half)), strict=True))
+
+    card, text = drafted(true | parts, commands, tmp_path)
+
+    assert [card.pose[f"q{part}"].source for part in "wxyz"] == ["q4", "q1", "q2", "q3"]
+    assert {one.scale for one in card.command.values()} == {1}
+    assert ("the vehicle lies on its side" in text) == lies
+    log = log_of(flight={"time": T, **true, **parts, **{f"cmd_{axis}": one for axis, one in commands.items()}})
+    wrong = loaded(text.replace('["q4", "q1", "q2", "q3"]', '["q1", "q2", "q3", "q4"]'), tmp_path)
+    told = {one.code for one in findings_of_flight(log, flight_from_log(log, wrong))}
+    assert ("quaternion_order" in told) == lies
 
 
 def test_a_draft_says_ned_where_the_height_is_named_down() -> None:

@@ -1,14 +1,16 @@
 """Directions: where commands lead, whatever the world is turned by, with errors that hold."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flights import NO_LOG, flown, steps, turned
+from flights import flown, steps, turned
 from rotorfit.core.card import Channel
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import heading_from_world
+from rotorfit.core.log import Log, Table
 from rotorfit.diagnosis.frame_checks import directions, frame_findings
 from rotorfit.diagnosis.recording import recording_of
 from rotorfit.dynamics.kinematics import motion_from_flight
@@ -16,6 +18,15 @@ from rotorfit.simulation.paper_vehicle import Controller, Truth
 
 TRUTH = replace(Truth(), stale_share=0.0)
 BOTH = ["x", "y"]
+
+UPRIGHT = Log(
+    Path("upright"),
+    "simulated",
+    "",
+    {"/pose": Table("/pose", {f"pose.orientation.{part}": np.array([part == "w"]) for part in "wxyz"})},
+    {},
+)
+"""Where the flights' card looks for the quaternion, whose lean alone is read from the log here."""
 
 
 def flight(seed: int = 4, controller: Controller | None = None, axes: tuple[str, ...] = ("x", "y", "yaw")) -> Flight:
@@ -28,7 +39,7 @@ def off(flight: Flight, degrees: float) -> Flight:
 
 
 def codes(flight: Flight) -> list[str]:
-    return [finding.code for finding in frame_findings(recording_of(NO_LOG, flight))]
+    return [finding.code for finding in frame_findings(recording_of(UPRIGHT, flight))]
 
 
 def test_a_world_that_is_turned_turns_no_direction() -> None:
@@ -60,8 +71,10 @@ def test_with_one_axis_commanded_its_own_direction_is_told() -> None:
 
 def test_a_quaternion_gets_the_offset_that_a_card_can_give_it() -> None:
     spoiled = off(flight(), 40.0)
-    pose = {axis: spoiled.card.pose[axis] for axis in "xyz"} | {f"q{part}": Channel(f"q{part}") for part in "wxyz"}
-    (told,) = frame_findings(recording_of(NO_LOG, replace(spoiled, card=replace(spoiled.card, pose=pose))))
+    pose = {axis: spoiled.card.pose[axis] for axis in "xyz"} | {
+        f"q{part}": Channel(f"pose.orientation.{part}") for part in "wxyz"
+    }
+    (told,) = frame_findings(recording_of(UPRIGHT, replace(spoiled, card=replace(spoiled.card, pose=pose))))
 
     assert told.code == "yaw_offset"
     degrees = float(told.remedy.partition("value = ")[2].partition(",")[0])
@@ -85,7 +98,7 @@ def test_a_heading_that_is_counted_the_other_way_round_is_told_with_little_turni
     """By twice the heading off: it is no matter of degrees, nor of the world's frame."""
     little = flown(TRUTH, steps(("x", "y", "yaw"), (0.2, 0.2, 0.2, 0.1), seed=4), 60.0, 4)
     assert np.radians(3) < np.std(little.yaw) < np.radians(20)
-    told = list(frame_findings(recording_of(NO_LOG, replace(little, yaw=-little.yaw))))
+    told = list(frame_findings(recording_of(UPRIGHT, replace(little, yaw=-little.yaw))))
 
     assert codes(little) == []
     assert [one.code for one in told] == ["mirrored_pose"]

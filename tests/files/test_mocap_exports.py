@@ -54,6 +54,8 @@ def test_bodies_and_markers_of_motive_are_named_columns_and_what_was_hidden_is_n
     assert columns["frame"].tolist() == [72210, 72211, 72215]
     assert columns["time"].tolist() == [601.75, 601.758333, 601.791667]
     np.testing.assert_array_equal(columns["drone.position.x"], [1, np.nan, 1.5])
+    assert log.units["take", "drone.position.x"] == "m"
+    assert log_of(tmp_path, MOTIVE.replace("Meters", "Millimeters")).units["take", "drone:Marker1.position.z"] == "mm"
     np.testing.assert_array_equal(columns["drone.rotation.w"], [0.9, np.nan, 0.9])
     assert log.notes == (
         "Motive captured 2019-09-18 04.30.02.695 PM, rotation Quaternion, lengths in Meters, coordinates Global, "
@@ -140,6 +142,9 @@ def test_objects_of_tracker_are_named_columns_with_a_clock_from_their_frames(tmp
     assert columns["drone.position.x"].tolist() == [1000, 1001]
     np.testing.assert_array_equal(columns["wand:tip.position.z"], [6, np.nan])
     assert log.notes == ("Objects: 100 Hz, units mm",)
+    assert log.units == {
+        ("Objects", f"{body}.position.{axis}"): "mm" for body in ("drone", "wand:tip") for axis in "xyz"
+    }
 
 
 @pytest.mark.parametrize("unit", ["rad", "deg", ""])

@@ -258,6 +258,15 @@ def test_yaw_comes_from_a_quaternion_of_any_length_and_tilt() -> None:
     np.testing.assert_allclose(np.exp(1j * (off.yaw - flight.yaw)), np.exp(0.5j), atol=1e-9)
 
 
+def test_four_columns_that_are_no_quaternion_are_refused() -> None:
+    pose = poses()
+    yaw = pose.pop("yaw") * 12
+    pose |= {"q.w": np.cos(yaw / 2), "q.x": 0 * yaw, "q.y": 0 * yaw, "q.z": yaw}  # a rotation vector but for w
+
+    with pytest.raises(FlightError, match=r"their length varies from 1\.02 to 3\.59"):
+        flight_of(pose=pose, card=card_with(pose={"yaw": None, "quaternion": "pose:q"}))
+
+
 def test_wrapped_yaw_is_unwrapped_and_counted() -> None:
     pose = poses()
     spin = 0.9 * pose["t"] + 3

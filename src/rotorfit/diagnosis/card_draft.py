@@ -19,7 +19,7 @@ from rotorfit.core.results import Motion
 from rotorfit.core.writing import check_folder, write_whole
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.command_response import BETTER, QUICKEST, SHARED, Answers, CommandResponse, answers_of
-from rotorfit.diagnosis.frame_checks import height_sign, other_orders, overturned, turned_by_yaw
+from rotorfit.diagnosis.frame_checks import height_sign, other_orders, overturned, turned_by_yaw, upright_order
 from rotorfit.diagnosis.pose_checks import degrees_turned, position_unit
 from rotorfit.diagnosis.recognition import (
     Recognised,
@@ -40,7 +40,7 @@ from rotorfit.files.cards import builtin_card_text, card_from_mapping
 from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import format_of
 from rotorfit.flights.assemble import flight_from_log
-from rotorfit.flights.columns import shape_text, source_of
+from rotorfit.flights.columns import shape_text, source_of, stated_unit
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         *(["# Motive has y up: the axes are permuted cyclically"] * is_of_motive(log, pose)),
         _line("time", pose.time),
         *(
-            _line(axis, pose.channels.get(axis), found.remarks.get(axis, ""))
+            _line(axis, pose.channels.get(axis), found.remarks.get(axis, ""), _stated(log, pose.channels.get(axis)))
             for axis in "xyz"
             if axis not in found.alone
         ),
@@ -207,14 +207,18 @@ def _quoted(text: object) -> str:
     return toml_text(str(text))
 
 
-def _line(key: str, channel: Channel | None, said: str = "") -> str:
+def _stated(log: Log, channel: Channel | None) -> bool:
+    return channel is not None and stated_unit(log, channel) is not None
+
+
+def _line(key: str, channel: Channel | None, said: str = "", stated: bool = False) -> str:
     if channel is None:
         return f'# {key} = "TABLE:COLUMN"  # EDIT: nothing was recognised'
     parts = [f"from = {_quoted(channel.source)}"]
     parts += [f"scale = {channel.scale:g}"] * (channel.scale != 1)
     parts += [f"offset = {channel.offset:g}"] * (channel.offset != 0)
     parts += [f'unit = "{channel.unit}"'] * bool(channel.unit)
-    remarks = ["unit guessed"] * bool(channel.unit) + [said] * bool(said)
+    remarks = [f"unit {'as the file states it' if stated else 'guessed'}"] * bool(channel.unit) + [said] * bool(said)
     value = f"{{ {', '.join(parts)} }}" if len(parts) > 1 else _quoted(channel.source)
     return f"{key} = {value}" + (f"  # {'; '.join(remarks)}" if remarks else "")
 
@@ -266,7 +270,7 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     elif asked.height < 0 and found.pose_frame == "ENU":
         found = replace(found, pose_remark='EDIT: z is below 0; if it points down: "NED", and scale = -1 for y, z, yaw')
     moved, said = _by_motion(found.commands, told)
-    found = _in_metres(replace(found, commands=moved, frame=told.frame or "heading"), asked.motion)
+    found = _in_metres(log, replace(found, commands=moved, frame=told.frame or "heading"), asked.motion)
     sure = all(answer.axis for answer in told.of.values())
     checked = f"Signs were checked against the motion{'' if sure else ', which does not tell those marked EDIT'}."
     frame = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
@@ -330,13 +334,30 @@ def _in_degrees(log: Log, asked: _Asked) -> _Asked:
 
 
 def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
-    """The draft with the parts of the quaternion in the order in which the command of yaw turns it."""
+    """The draft with the parts of the quaternion in the order in which the vehicle is upright and obeys.
+
+    In the wrong order a heading that hardly changes is half a turn off: both horizontal commands are reversed.
+    """
     found, told = asked.found, asked.answers
-    if told is None or not _is_whole(found.pose) or turned_by_yaw(told) or "yaw" not in told.of:
+    if told is None or not _is_whole(found.pose):
         return asked
-    why = "by the motion: in the order of the names no command turns the vehicle; EDIT if that is not so"
+    if upright := upright_order(log, found.pose.channels):
+        why = "by the pose: in the order of the names the vehicle lies on its side; EDIT if that is not so"
+        return _asked(log, _read(found, why, **upright))
+    if "yaw" in told.of:
+        why, obeys = "in the order of the names no command turns the vehicle", turned_by_yaw
+    else:
+        why, obeys = "in the order of the names x and y are both reversed", _ahead
+    if obeys(told):
+        return asked
+    why = f"by the motion: {why}; EDIT if that is not so"
     others = (_asked(log, _read(found, why, **parts)) for parts in other_orders(found.pose.channels))
-    return next((other for other in others if other.answers and turned_by_yaw(other.answers)), asked)
+    return next((other for other in others if other.answers and obeys(other.answers)), asked)
+
+
+def _ahead(told: Answers) -> bool:
+    """Whether x and y do not both move the vehicle backwards."""
+    return not all(name in told.of and told.of[name].axis == name and told.of[name].sign < 0 for name in "xy")
 
 
 def _upright(log: Log, asked: _Asked) -> _Asked:
@@ -430,15 +451,15 @@ def _turned(channel: Channel) -> Channel:
     return replace(channel, scale=-channel.scale)
 
 
-def _in_metres(found: DraftContents, motion: Motion | None) -> DraftContents:
-    """The same draft with a unit for the position if no vehicle can have flown it in metres."""
+def _in_metres(log: Log, found: DraftContents, motion: Motion | None) -> DraftContents:
+    """The same draft with a unit for the position if no vehicle can have flown it in metres, and none is stated."""
     known = {axis: channel for axis, channel in found.pose.channels.items() if axis in "xyz"}
     unit = position_unit(motion) if motion and not found.alone else None
-    if unit is None or any(channel.unit for channel in known.values()):
+    if unit is None or any(channel.unit or stated_unit(log, channel) for channel in known.values()):
         return found
     name, speed = unit
     read = _read(found, "", **{axis: replace(channel, unit=name) for axis, channel in known.items()})
-    why = f'by the motion: its speed is {speed:.2g} m/s (RMS), in metres too much for any; EDIT: "cm" or "mm"'
+    why = f'by the motion, too fast in metres for any vehicle: {speed:.2g} m/s (RMS) with this unit; EDIT: "cm" or "mm"'
     return replace(read, remarks={**found.remarks, "x": "; ".join(filter(None, (found.remarks.get("x"), why)))})
 
 

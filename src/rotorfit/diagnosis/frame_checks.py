@@ -22,12 +22,14 @@ from rotorfit.core.errors import FlightError
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, UNIT_SCALE, Array
+from rotorfit.core.log import Log
 from rotorfit.core.plain import toml_text
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.command_response import SIGNIFICANT, TURNING, Answers, CommandResponse, answers_of, thinned
 from rotorfit.diagnosis.motion_checks import LAGS, lagged_command
 from rotorfit.diagnosis.recording import Recording
 from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.columns import column
 
 Complex = npt.NDArray[np.complex128]
 
@@ -55,6 +57,9 @@ gains of x and y by less than 1 - cos(3 degrees), a thousandth."""
 
 SAME_THING = ": with a heading that stays within a few degrees of 0 the commands cannot distinguish the two"
 """Why degrees read as radians and world commands are one finding where the heading hardly turned."""
+
+_LYING = np.radians(25.0)
+"""Lean of the body's mean z axis above which a vehicle is not upright: wind that holds it so would be a storm."""
 
 OFF = np.radians(12.0)
 """Deviation of a direction that is reported if it also exceeds `SIGNIFICANT` standard errors. Markers placed by eye are
@@ -114,6 +119,27 @@ def other_orders(pose: Mapping[str, Channel]) -> list[dict[str, Channel]]:
     return [dict(zip(names, parts[first:] + parts[:first], strict=True)) for first in (3, 1)]
 
 
+def upright_order(log: Log, pose: Mapping[str, Channel]) -> dict[str, Channel] | None:
+    """The order of a quaternion's parts in which the vehicle is upright; None if it is so already, or in no order.
+
+    What tilts it averages out over a flight; a vehicle that lies on its side from take-off to landing is none.
+    """
+    own = _lean(log, pose)
+    if not _LYING < own < np.pi - _LYING:  # beyond, the body's z points down
+        return None
+    best = min(other_orders(pose), key=lambda parts: _lean(log, parts))
+    return best if _lean(log, best) < own / 2 else None
+
+
+def _lean(log: Log, pose: Mapping[str, Channel]) -> float:
+    """Angle between the body's mean z axis and the vertical [rad]; a right angle where it has no clear direction."""
+    parts = np.array([column(log, pose[f"q{part}"]) for part in "wxyz"])
+    w, x, y, z = parts[:, np.linalg.norm(parts, axis=0) > 0]
+    axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), w**2 - x**2 - y**2 + z**2])
+    mean = np.mean(axis / (w**2 + x**2 + y**2 + z**2), axis=1)
+    return float(np.arctan2(np.hypot(*mean[:2]), mean[2])) if np.linalg.norm(mean) > 0.5 else np.pi / 2
+
+
 def turned_by_yaw(told: Answers) -> bool:
     """Whether the command of yaw turns the vehicle: parts of a quaternion in the wrong order are no heading."""
     return "yaw" in told.of and told.of["yaw"].axis == "yaw"
@@ -122,7 +148,11 @@ def turned_by_yaw(told: Answers) -> bool:
 def _order(recording: Recording) -> Finding | None:
     """Finding for a quaternion that obeys the command of yaw in another order only."""
     card, flight = recording.card, recording.flight
-    if "qw" not in card.pose or not np.ptp(flight.command[:, AXES.index("yaw")]):
+    if "qw" not in card.pose:
+        return None
+    if upright := upright_order(recording.log, card.pose):
+        return _wrong_order("by the card as it is, the vehicle lies on its side throughout the flight", upright)
+    if not np.ptp(flight.command[:, AXES.index("yaw")]):
         return None
     own = recording.answers
     if "yaw" not in own.of or turned_by_yaw(own):
@@ -133,18 +163,24 @@ def _order(recording: Recording) -> Finding | None:
         except FlightError:
             continue
         if turned_by_yaw(other):
-            names = [str(part.source) for part in parts.values()]
-            return Finding(
-                "quaternion_order",
-                "error",
-                f"commands explain {100 * other.of['yaw'].explained:.0f} % of the turning with {names[0]} as w of the "
-                f"quaternion, but {100 * own.of['yaw'].explained:.0f} % by the card as it is",
-                "the heading is none: nothing of yaw is the vehicle's, nor of x and y, whose commands are resolved in "
-                "the wrong direction",
-                f"name the four in the order w, x, y, z: quaternion = [{', '.join(map(toml_text, names))}] in [pose] "
-                "of the card",
+            evidence = (
+                f"commands explain {100 * other.of['yaw'].explained:.0f} % of the turning with {parts['qw'].source} as "
+                f"w of the quaternion, but {100 * own.of['yaw'].explained:.0f} % by the card as it is"
             )
+            return _wrong_order(evidence, parts)
     return None
+
+
+def _wrong_order(evidence: str, right: Mapping[str, Channel]) -> Finding:
+    names = ", ".join(toml_text(str(right[f"q{part}"].source)) for part in "wxyz")
+    return Finding(
+        "quaternion_order",
+        "error",
+        evidence,
+        "the heading is none: nothing of yaw is the vehicle's, nor of x and y, whose commands are resolved in the "
+        "wrong direction",
+        f"name the four in the order w, x, y, z: quaternion = [{names}] in [pose] of the card",
+    )
 
 
 def _other_turns(card: Card, turning: float) -> list[float]:

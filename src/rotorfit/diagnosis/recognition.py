@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.core.card import Channel
+from rotorfit.core.card import LENGTH_UNITS, Channel
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
 from rotorfit.files.logs.several import format_of
@@ -74,9 +74,7 @@ _HEADING |= {
 
 _POSE |= _HEADING
 
-_BODY = {axis: f"(?:.*_)?position_{axis}" for axis in "xyz"}
-
-_BODY |= {f"q{part}": f"(?:.*_)?(?:rotation|quaternion)_{part}" for part in "wxyz"}
+_BODY_PART = re.compile(r"(.*)\.(position|quaternion|rotation)\.([wxyz])")
 
 _Y_UP = {"x": "z", "y": "x", "z": "y", "qw": "qw", "qx": "qz", "qy": "qx", "qz": "qy"}
 
@@ -278,7 +276,12 @@ def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> R
 
 
 def _unit(log: Log, table: Table, name: str) -> str | None:
-    """The unit in a name, or that of the message: NTUN of ArduPilot is in cm. Source: its Log.cpp up to 3.6."""
+    """The unit that the log or a name states, or that of the message: NTUN of ArduPilot is in cm.
+
+    Source: its Log.cpp up to 3.6.
+    """
+    if (stated := log.units.get((table.name, name))) in LENGTH_UNITS:
+        return None if stated == "m" else stated
     if format_of(log, table.name).startswith("dataflash") and table.name == "NTUN":
         return "cm" if name.startswith("Pos") else "cm/s" if "Vel" in name else None
     return unit_of_name(name)
@@ -307,8 +310,24 @@ def _family(word: str, speed: str) -> dict[str, str]:
 
 
 def _body(log: Log, table: Table) -> dict[str, str]:
-    """Quantity to column of a rigid body, in exports of motion capture only: elsewhere such names may be anything."""
-    return _named(table, _BODY) if format_of(log, table.name) in ("motive", "vicon") else {}
+    """Quantity to column of a rigid body, in exports of motion capture only: elsewhere such names may be anything.
+
+    All columns are of one body, the one with most of them. A rotation without w is no quaternion.
+    """
+    if format_of(log, table.name) not in ("motive", "vicon"):
+        return {}
+    bodies: dict[str, dict[str, dict[str, str]]] = {}
+    for name in table.columns:
+        if part := _BODY_PART.fullmatch(name):
+            body, kind, axis = part.groups()
+            bodies.setdefault(body, {}).setdefault(kind, {})[axis] = name
+    found: dict[str, str] = {}
+    for body in sorted(bodies, key=len, reverse=True):
+        kinds = bodies[body]
+        turned = next((kinds[kind] for kind in ("rotation", "quaternion") if "w" in kinds.get(kind, {})), {})
+        known = kinds.get("position", {}) | {f"q{part}": name for part, name in turned.items()}
+        found = known if len(known) >= len(found) else found
+    return found
 
 
 def _pose(log: Log, table: Table) -> dict[str, str]:

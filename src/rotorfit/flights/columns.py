@@ -97,12 +97,18 @@ def _as_logged(log: Log, channel: Channel, si: str | None) -> Channel:
         channel: Under its name in the log.
         si: SI unit of the quantity, used where the card gives no unit.
     """
-    said = log.units.get(split_source(channel.source))
+    said = stated_unit(log, channel)
     own = channel.unit or si
     plain = abs(channel.scale) == 1 and channel.offset == 0 and channel.full_scale is None
     if said is None or said == own or not plain or not any(said in kind and own in kind for kind in KINDS):
         return channel
     return replace(channel, unit=said)
+
+
+def stated_unit(log: Log, channel: Channel) -> str | None:
+    """The unit that the log itself states for a column; None where it states none."""
+    table, name = split_source(channel.source)
+    return log.units.get((table or next(iter(log.tables)), name)) if table or len(log.tables) == 1 else None
 
 
 def unit_note(before: Card, after: Card) -> str:

@@ -55,6 +55,10 @@ NEVER = np.int64(2**62)
 """End time of a sample that acts until the next one [ns]."""
 
 
+_STRETCHED = 1.05
+"""Ratio of the longest to the shortest of the common lengths of a quaternion, above which it is none."""
+
+
 @dataclass(frozen=True)
 class Stream:
     """Commands, poses or velocities on their own clock, with their repairs.
@@ -119,7 +123,7 @@ def poses_of(log: Log, card: Card) -> Stream:
     """
     stamps, series, notes = read_series(log, card.pose_time, card.pose, "pose")
     x, y, z = (series.get(axis, np.zeros(len(stamps))) for axis in AXES[:3])
-    yaw = series["yaw"] if "yaw" in series else _heading(*(series[f"q{part}"] for part in "wxyz"))
+    yaw = series["yaw"] if "yaw" in series else _heading(log, *(series[f"q{part}"] for part in "wxyz"))
     yaw = yaw + card.heading_offset
     drawn_ = {axis for axis, channel in card.pose.items() if is_beside(card.pose_time, channel)}
     own = [axis in ("x", "y", "z", "yaw") and axis not in drawn_ for axis in AXES]
@@ -176,7 +180,7 @@ def read_series(
         found = {axis: sampled(log, time, channel) for axis, channel in others.items() if axis in AXES}
         if "qw" in others:
             clock, parts = whole_rows(log, time, [others[f"q{part}"] for part in "wxyz"])
-            found["yaw"] = sound_samples(clock, _heading(*parts))
+            found["yaw"] = sound_samples(clock, _heading(log, *parts))
         if "yaw" in found:
             found["yaw"] = found["yaw"][0], np.unwrap(found["yaw"][1])
         series |= {axis: interpolate(clock, values, stamps) for axis, (clock, values) in found.items()}
@@ -232,11 +236,21 @@ def _commanded(series: dict[str, Array]) -> tuple[dict[str, Array], tuple[Note, 
     return series, tuple(notes)
 
 
-def _heading(w: Array, x: Array, y: Array, z: Array) -> Array:
-    """Yaw of quaternions, NaN where there is none: mocap bridges write zeros while the body is occluded."""
+def _heading(log: Log, w: Array, x: Array, y: Array, z: Array) -> Array:
+    """Yaw of quaternions, NaN where there is none: mocap bridges write zeros while the body is occluded.
+
+    Raises:
+        FlightError: Their length varies: the four columns belong to different things.
+    """
     parts = np.array([w, x, y, z])
     size = np.max(np.abs(parts), axis=0)
     there = (size > 1e-3) & (size < 1e6)
+    shortest, longest = np.quantile(np.linalg.norm(parts[:, there], axis=0), [0.05, 0.95]) if any(there) else (1.0, 1.0)
+    if longest > _STRETCHED * shortest:
+        raise FlightError(
+            f"{log.path}: the four columns of the quaternion are no rotation: their length varies from {shortest:.3g} "
+            f"to {longest:.3g}. Name w, x, y, z of one orientation in [pose] of the card"
+        )
     return np.where(there, yaw_from_quaternion(*np.where(there, parts, 0.0)), np.nan)
 
 

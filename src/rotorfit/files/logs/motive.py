@@ -3,6 +3,7 @@
 Source: https://docs.optitrack.com/motive/data-export/data-export-csv
 """
 
+import re
 from collections.abc import Collection
 from pathlib import Path
 
@@ -16,6 +17,8 @@ _KEY = b"Format Version"
 _MOST_HEADER_LINES = 12
 
 _KINDS = {"error per marker": "mean_marker_error"}  # its name before Motive 2
+
+_LENGTHS = {"meters": "m", "centimeters": "cm", "millimeters": "mm"}
 
 _CONSTRAINT = "rigid body marker"  # where a marker should be by the body's pose; the marker itself has the same name
 
@@ -47,10 +50,12 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     columns = ["frame", "time"]
     columns += [_column(*parts) for parts in list(zip(types, names, kinds, rows[-1], strict=True))[2:]]
     notes = [_about(rows[0])]
+    unit = _LENGTHS.get(_said(rows[0]).get("Length Units", "").lower())
     return Content(
         {path.stem: Table(path.stem, columns_below(path, data, (start, len(data)), columns, separator, notes))},
         {},
         tuple(notes),
+        units={(path.stem, name): unit for name in columns if unit and re.search(r"position\.[xyz]$", name)},
     )
 
 
@@ -77,9 +82,14 @@ def _column(type_: str, name: str, kind: str, axis: str) -> str:
     return ".".join(filter(None, (name, word, axis.lower()))) if name else ""
 
 
+def _said(first: list[str]) -> dict[str, str]:
+    """The keys of the first line and their values."""
+    return dict(zip(first[::2], first[1::2], strict=False))
+
+
 def _about(first: list[str]) -> str:
     """What the first line states about the export; the axes are not in it."""
-    said = dict(zip(first[::2], first[1::2], strict=False))
+    said = _said(first)
     parts = {
         "captured": said.get("Capture Start Time", ""),
         "rotation": said.get("Rotation Type", ""),

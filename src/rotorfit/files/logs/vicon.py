@@ -24,6 +24,9 @@ _MOST_SECTIONS, _FASTEST = 32, 1e6
 
 _GLOBAL = re.compile(r"Global Angle( \([^)]*\))? +")
 
+_KNOWN = re.compile(r".*position\.[xyz] (?:m|cm|mm)")
+"""Column and unit of a length whose unit is taken from the export."""
+
 _KINDS = {"T": "position", "R": "rotation"}
 
 
@@ -66,6 +69,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
     found: dict[str, Table] = {}
     skipped: dict[str, str] = {}
     notes: list[str] = []
+    units: dict[tuple[str, str], str] = {}
     for section in _sections(data, notes):
         if section.name in found or section.name in skipped:
             skipped[f"{section.name} at byte {section.part[0]}"] = "an earlier section has its name"
@@ -75,13 +79,15 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
             skipped[section.name] = "holds no frames"
         else:
             found[section.name] = Table(section.name, _columns(path, data, section, notes))
+            named = zip(section.names, section.units, strict=False)
+            units |= {(section.name, name): unit for name, unit in named if _KNOWN.fullmatch(f"{name} {unit}")}
     if not found and not skipped:
         raise LogError(f"{path}: no section of the Vicon export can be understood; export it again as CSV")
     if not found and tables is None:
         raise LogError(
             f"{path}: {listed(list(skipped))} of the Vicon export holds no frames; check that it was recorded"
         )
-    return Content(found, skipped, tuple(notes))
+    return Content(found, skipped, tuple(notes), units=units)
 
 
 def _sections(data: bytes, notes: list[str]) -> list[_Section]:
