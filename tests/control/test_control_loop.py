@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,23 @@ def test_the_loop_of_the_document_commands_as_the_library_does(
     assert steering.saturated > 0
     moved = np.abs(ours).max(axis=0) > 0.01
     assert moved.tolist() == [axis in axes for axis in ("x", "y", "z", "yaw")]
+
+
+def test_the_loop_of_the_document_turns_commands_for_a_vehicle_that_takes_them_along_the_world(tmp_path: Path) -> None:
+    model = model_of()
+    tuning = tune(model)
+    world = replace(model, card=replace(model.card, command_frame="world"))
+    loops = []
+    for name, known in (("own", model), ("world", world)):
+        save_gains(tuning, known, tmp_path / f"{name}.toml")
+        gains = tomllib.loads((tmp_path / f"{name}.toml").read_text(encoding="utf-8"))
+        loops.append(documented()["Loop"](gains, [0.0, 0.0, 1.0, np.pi / 2]))
+    there = (np.array([0.1, 0.0, 1.0, np.pi / 2]), np.zeros(4), np.zeros(4))
+
+    own, turned = (loop.command(0.0, lambda _: there) for loop in loops)
+
+    assert own[1] < -1e-3  # the goal is at its right
+    np.testing.assert_allclose(turned[:2], [-own[1], own[0]], atol=1e-12)
 
 
 def test_a_gains_file_says_what_a_command_is_and_nothing_that_its_law_does_not_use(tmp_path: Path) -> None:

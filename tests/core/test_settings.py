@@ -11,7 +11,15 @@ import pytest
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import AXES
-from rotorfit.core.limits import expectation, gain_factor, limit_text, limit_that_gives, limits_from_text, meaning_of
+from rotorfit.core.limits import (
+    command_of,
+    expectation,
+    gain_factor,
+    limit_text,
+    limit_that_gives,
+    limits_from_text,
+    meaning_of,
+)
 from rotorfit.files.cards import builtin_cards, card_from_mapping
 from rotorfit.simulation.published import PUBLISHED, sets_for, vehicle_of
 
@@ -189,3 +197,26 @@ def test_the_worked_example_of_the_documents_is_right() -> None:
         assert told[2:] == pytest.approx([np.degrees(np.arctan(g / 9.81)) for g in (x, y)], abs=0.051)
     assert 0.8417 * gain_factor("tilt", 5 * DEG, 20 * DEG) == pytest.approx(3.50, abs=0.005)
     assert "tan(20 deg) / tan(5 deg) = 3.50" in SETTINGS
+
+
+@pytest.mark.parametrize(
+    ("channel", "held"),
+    [
+        ("scale = 1", ""),
+        ("scale = -1", "; c:x of the log is it times -1"),
+        ("unit = 'deg', meaning = 'tilt'", "; c:x of the log is it times 57.2958"),
+        ("scale = 0.002, offset = -3", "; c:x of the log is it times 500 plus 1500"),
+    ],
+)
+def test_a_command_that_the_log_holds_as_another_number_says_how(channel: str, held: str) -> None:
+    text = command_of(card_of(x=channel), "x").text
+
+    assert text.endswith(held) if held else "of the log" not in text
+
+
+def test_physical_commands_are_held_as_the_fractions_of_the_log() -> None:
+    card = card_of("tilt = { value = 20, unit = 'deg' }", x="scale = -0.01, full_scale = 'tilt'")
+
+    assert command_of(card, "x").text.endswith("from -1 to 1; c:x of the log is it times -100")
+    physical = command_of(card, "x", physical=True).text
+    assert physical.endswith(f"c:x of the log is it times {-100 / (20 * DEG):.6g}")

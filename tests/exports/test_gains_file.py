@@ -90,6 +90,25 @@ def test_the_verb_prints_writes_and_writes_again(model_path: Path, tmp_path: Pat
     assert gains.read_text().startswith("format: rotorfit-gains")
 
 
+def test_gains_of_a_vehicle_that_takes_world_commands_or_turned_ones_say_so(tmp_path: Path) -> None:
+    save(model_of({"x": VEHICLE["x"]}), tmp_path / "model.json")
+    model = json.loads((tmp_path / "model.json").read_text())
+    model["card"]["command"]["frame"] = "world"
+    model["card"]["command"]["x"]["scale"] = -1
+    (tmp_path / "model.json").write_text(json.dumps(model))
+
+    code, text = run("tune", tmp_path / "model.json", "-o", tmp_path / "gains.toml")
+
+    assert code == 0, text
+    told = " ".join(text.split())
+    assert "takes commands of x and y in the world frame: turn those of this file by yaw" in told
+    assert f"x: u is the command; {model['card']['command']['x']['from']} of the log is it times -1" in told
+    gains = read_gains(tmp_path / "gains.toml")
+    assert gains["command_frame"] == "world"
+    assert "turn those of this file by yaw" in gains["sending"]
+    assert gains["axes"]["x"]["command"].endswith("of the log is it times -1")
+
+
 def test_json_is_the_mapping_of_the_file(model_path: Path) -> None:
     code, text = run("tune", model_path, "--design", "linearising", "--axes", "x", "--json")
 

@@ -243,7 +243,7 @@ class CommandMeaning:
     """What the command of an axis means, for the exports.
 
     Attributes:
-        text: In words, with its limit where the card has one.
+        text: In words, with its limit where the card has one, and how the log holds it where that is another number.
         unit: `fraction`, an SI unit, or `unit of command`.
         limit: Largest magnitude; None where the card does not tell.
     """
@@ -256,14 +256,40 @@ class CommandMeaning:
 def command_of(card: Card, axis: str, physical: bool = False) -> CommandMeaning:
     """What the command of an axis means by a card; with `physical`, in SI even where the card has fractions."""
     meaning: Meaning = meaning_of(card, axis)
+    held = recorded_as(card, axis)
     if meaning.asked is None:
-        return CommandMeaning(
-            f"as sent, by the card {card.name}; what it asks for is not known", "unit of command", None
-        )
+        text = f"as sent, by the card {card.name}; what it asks for is not known"
+        return CommandMeaning(f"{text}{held}", "unit of command", None)
     if meaning.limit and not physical:
         size = f" ({limit_text(meaning.limit, meaning.setting)})" if meaning.setting else ""
-        return CommandMeaning(f"fraction of the {meaning.limit} limit{size}, from -1 to 1", "fraction", 1.0)
+        return CommandMeaning(f"fraction of the {meaning.limit} limit{size}, from -1 to 1{held}", "fraction", 1.0)
+    if meaning.limit:
+        held = recorded_as(card, axis, meaning.setting or math.nan)
     limit = card.limits.get(meaning.limit or LIMIT_OF[meaning.asked])
     unit = COMMAND_UNITS[meaning.asked]
     ends = f", from {-limit:.4g} to {limit:.4g}" if limit else ", limits not known"
-    return CommandMeaning(f"{meaning.asked} asked for [{unit}]{ends}", unit, limit)
+    return CommandMeaning(f"{meaning.asked} asked for [{unit}]{ends}{held}", unit, limit)
+
+
+WORLD_COMMANDS = (
+    "The vehicle itself takes commands of x and y in the world frame: turn those of this file by yaw before they are "
+    "sent."
+)
+"""What a user of a model or of gains must know where the card's commands do not turn with the vehicle."""
+
+
+def recorded_as(card: Card, axis: str, unit: float = 1.0) -> str:
+    """How the log holds the command of an axis, as a clause; empty where it holds the very number.
+
+    Args:
+        card: Defines the channel.
+        axis: Name of the axis.
+        unit: Size of the command's unit in that of the card.
+    """
+    channel = card.command.get(axis)
+    if channel is None or not isinstance(channel.source, str):
+        return ""
+    factor, offset = 1 / (unit * channel.factor * channel.scale), -channel.offset / channel.scale
+    if factor == 1 and offset == 0:
+        return ""
+    return f"; {channel.source} of the log is it times {factor:.6g}" + f" plus {offset:.6g}" * bool(offset)

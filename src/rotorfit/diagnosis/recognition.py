@@ -322,11 +322,11 @@ def _body(log: Log, table: Table) -> dict[str, str]:
             body, kind, axis = part.groups()
             bodies.setdefault(body, {}).setdefault(kind, {})[axis] = name
     found: dict[str, str] = {}
-    for body in sorted(bodies, key=len, reverse=True):
+    for body in sorted(bodies, key=len):
         kinds = bodies[body]
         turned = next((kinds[kind] for kind in ("rotation", "quaternion") if "w" in kinds.get(kind, {})), {})
         known = kinds.get("position", {}) | {f"q{part}": name for part, name in turned.items()}
-        found = known if len(known) >= len(found) else found
+        found = known if len(known) > len(found) else found
     return found
 
 

@@ -10,7 +10,7 @@ from rotorfit.control.control_law import AxisLaw
 from rotorfit.control.tuning import AxisTuning, Tuning
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
-from rotorfit.core.limits import CommandMeaning, command_of
+from rotorfit.core.limits import WORLD_COMMANDS, CommandMeaning, command_of
 from rotorfit.core.model import Model
 from rotorfit.core.plain import check_finite, plain_toml, shown
 from rotorfit.core.writing import check_folder, write_whole
@@ -52,6 +52,7 @@ SYMBOLS: Mapping[str, str] = {
 LOOP = "docs/control.md of rotorfit: a loop in Python that reads this file, and what each law does"
 
 UNITS: Mapping[str, str] = {
+    "command_frame": "frame in which the vehicle takes x and y; the law gives them in `frame`",
     "rate": "commands a second",
     "latency": "s, from the exposure of a pose to the command that uses it",
     "bandwidth": "rad/s",
@@ -81,6 +82,8 @@ def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
         "symbols": dict(SYMBOLS),
         "loop": LOOP,
         "frame": "heading: x forward, y left, z up, yaw counter-clockwise",
+        "command_frame": model.card.command_frame,
+        "sending": WORLD_COMMANDS if model.card.command_frame == "world" else None,
         "rate": tuning.rate,
         "latency": tuning.latency,
         "units": dict(UNITS),

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from rotorfit.core.frames import AXES, POSE_UNITS
 from rotorfit.core.laws import structure_named
+from rotorfit.core.limits import WORLD_COMMANDS
 from rotorfit.core.model import Axis, Interval
 from rotorfit.exports.subject import Subject
 from rotorfit.exports.validity import training_of
@@ -25,11 +26,6 @@ DISTURBED = (
     "measured velocity, trim_variance that of c [unit^2/s^4]; the unit is m, of yaw rad:"
 )
 """Source: module `disturbance`."""
-
-TURNED = (
-    "The vehicle itself takes commands of x and y in the world frame: turn those of this file by yaw before they are "
-    "sent."
-)
 
 
 def header(
@@ -54,7 +50,7 @@ def header(
         *(_row(axis, _law(subject, axis)) for axis in AXES),
         "",
         *_wrapped(FRAMES),
-        *(_wrapped(TURNED) if subject.model.card.command_frame == "world" else []),
+        *(_wrapped(WORLD_COMMANDS) if subject.model.card.command_frame == "world" else []),
         "",
         "Commands:",
         *(_row(axis, _command(subject, axis)) for axis in subject.axes),

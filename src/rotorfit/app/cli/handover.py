@@ -144,7 +144,7 @@ def tune(
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.handover import trial_view, tuning_view
 
-    show(tuning_view(tuning))
+    show(tuning_view(tuning, model.card))
     if scores and address:
         click.echo()
         show(trial_view(scores, address))

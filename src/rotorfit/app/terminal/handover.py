@@ -11,6 +11,8 @@ from rotorfit.app.terminal.tables import View, bullets, table, three_digits, tit
 from rotorfit.control.controller import STEPS
 from rotorfit.control.trial import PathScore
 from rotorfit.control.tuning import DELAY_SHARE, AxisTuning, Tuning
+from rotorfit.core.card import Card
+from rotorfit.core.limits import WORLD_COMMANDS, recorded_as
 from rotorfit.exports import Export
 from rotorfit.exports.formats import Format
 from rotorfit.exports.gains import LAWS
@@ -53,8 +55,8 @@ def export_mapping(made: Export, where: str) -> dict[str, Any]:
     }
 
 
-def tuning_view(tuning: Tuning) -> View:
-    """Gains, margins at the estimate and under its covariance, assumptions, and refused axes."""
+def tuning_view(tuning: Tuning, card: Card) -> View:
+    """Gains, margins at the estimate and under its covariance, assumptions, refused axes, and what to send."""
     yield title(f"{tuning.kind}, {tuning.rate:g} commands a second, poses {1000 * tuning.latency:g} ms old")
     yield Text(LAWS[tuning.kind], style="dim")
     observed = any(one.law.observer for one in tuning.axes.values())
@@ -84,6 +86,8 @@ def tuning_view(tuning: Tuning) -> View:
     )
     yield from bullets([f"{axis}: {one.note}" for axis, one in tuning.axes.items() if one.note])
     yield from bullets([f"{axis}: no gains, {why}" for axis, why in tuning.refused.items()])
+    yield from bullets([f"{axis}: u is the command{held}" for axis in tuning.axes if (held := recorded_as(card, axis))])
+    yield from bullets([WORLD_COMMANDS] * (card.command_frame == "world"))
 
 
 def trial_view(scores: Sequence[PathScore], address: str) -> View:
