@@ -21,6 +21,7 @@ from rotorfit.files.cards import load_card
 from rotorfit.files.models import save
 from rotorfit.files.plans import load_plan
 from rotorfit.planning.belief import belief_from_card, belief_from_model
+from rotorfit.planning.envelope import ALLOWED, JUDGES, fleet_of, predicted_path
 from rotorfit.planning.next_flight import next_flight, wanted_errors, worst_group
 from rotorfit.planning.plan_flight import IDENT, band_of, full_amplitude, plan_flight, plan_flights
 from rotorfit.planning.request import space_of_box, space_of_room
@@ -90,10 +91,25 @@ def test_flights_that_leave_are_counted_with_the_side_beyond_which_the_middle_li
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     plan = plan_flight(CARD, ROOM, "multisine", ("z",), 15.0, BELIEF)
-    for low, told in ((-9.0, "2 of 50 leave what is allowed, at low z at least; 5 % may."), (1.0, "allowed; 5 % may.")):
+    for low, told in (
+        (-9.0, "8 of 200 leave what is allowed, at low z at least; 5 % may."),
+        (1.0, "allowed; 5 % may."),
+    ):
         extent = {**plan.predicted["extent"], "z": [low, plan.space.upper[2] - 0.1]}
         show(plan_view(replace(plan, predicted={**plan.predicted, "leaving": 0.04, "extent": extent})))
         assert told in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_plan_is_judged_by_other_vehicles_than_those_with_which_its_amplitude_was_sought() -> None:
+    plan = plan_flight(CARD, ROOM, "multisine", ("x", "y"), 20.0, BELIEF)
+    shares = [
+        predicted_path(plan, fleet_of(BELIEF, plan.rate, plan.duration, 400, seed)).leaving
+        for seed in (10**7, 2 * 10**7)
+    ]
+
+    assert plan.predicted["draws"] == JUDGES
+    assert plan.predicted["leaving"] <= ALLOWED
+    assert np.mean(shares) <= 1.5 * ALLOWED  # a share of 5 % of 200 is known to 1.5 %
 
 
 def test_an_open_loop_that_fits_is_left_open() -> None:

@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 from rotorfit.core.limits import GRAVITY
-from rotorfit.tracking.changes import Contrast, at_once, contrast, in_any_air, likeliest, looked_together, looks, pushes
+from rotorfit.tracking.changes import (
+    Contrast,
+    at_once,
+    calm,
+    contrast,
+    earliest,
+    in_any_air,
+    likeliest,
+    looked_together,
+    looks,
+    pushes,
+)
 from rotorfit.tracking.following import SHORT
 from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.refits import refitted
@@ -61,6 +72,21 @@ def test_coefficients_that_move_are_found_with_their_sign_and_their_time(scores:
     assert first.p_value * looks(changed) < 1e-6
     assert low <= begun <= high
     assert best.shift[moved] == pytest.approx(-1.0, abs=0.4)
+
+
+def test_a_change_in_a_pause_of_the_log_is_dated_within_it_and_the_air_before_it_is_that_of_the_flight(
+    scores: Scores,
+) -> None:
+    begun, moved = float(scores.time[-1]) - 4.0, scores.names.index("z.input")
+    after = scores.time >= begun
+    innovation = np.random.default_rng(3).standard_normal(scores.time.size) - scores.tested[:, moved] * after
+    paused = replace(scores, time=scores.time + 60.0 * after, innovation=innovation)
+    first = min(looked_at(paused), key=lambda one: one.p_value)
+    _, (low, high) = changed_when(paused, earliest(paused, first))
+
+    assert begun - 2.0 < low < begun + 2.0
+    assert begun + 58.0 < high < begun + 62.0
+    assert calm(paused, low, first.since, first.p_value)
 
 
 def test_a_push_is_as_rare_as_under_the_strengths_that_the_air_allows(scores: Scores) -> None:

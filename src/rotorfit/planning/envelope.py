@@ -1,7 +1,8 @@
 """Envelope: the expected path and speeds of a plan, and whether it stays in its space if the belief is off.
 
 The plan is flown by the likeliest vehicle in still air, and by vehicles drawn from the belief, each with its own trim
-and wind; the feedback believes in the likeliest in all cases.
+and wind; the feedback believes in the likeliest in all cases. Amplitudes are sought with one fleet and judged by
+another: those that just fit one fleet fit it better than the belief.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +21,13 @@ from rotorfit.planning.signals import scaled
 from rotorfit.simulation.paper_vehicle import Draw, SimulatedFlight, noise_free
 
 DRAWS = 50
-"""Number of vehicles drawn."""
+"""Number of vehicles with which amplitudes are sought."""
+
+JUDGES = 200
+"""Number of vehicles by which a plan is judged."""
+
+_FRESH = 1_000_000
+"""Added to the seed of a plan for the judges."""
 
 ALLOWED = 0.05
 """Share of them that may leave the space or exceed a speed limit."""
@@ -84,6 +91,11 @@ def fleet_of(belief: Belief, rate: float, duration: float, draws: int = DRAWS, s
     """
     vehicles = [noise_free(belief.truth), *sample_vehicles(belief, draws, seed)]
     return tuple(draw_path(truth, rate, duration, seed + number) for number, truth in enumerate(vehicles))
+
+
+def judges_of(belief: Belief, rate: float, duration: float, seed: int) -> tuple[Draw, ...]:
+    """Vehicles that judge a plan: other ones than those with which its amplitudes were sought, as of `fleet_of`."""
+    return fleet_of(belief, rate, duration, JUDGES, seed + _FRESH)
 
 
 def predicted_path(plan: Plan, fleet: Sequence[Draw], progress: Progress | None = None) -> Envelope:

@@ -17,6 +17,8 @@ from rotorfit.planning.envelope import (
     ALLOWED,
     Envelope,
     fleet_of,
+    judges_of,
+    largest_amplitude,
     largest_amplitudes,
     predicted_path,
     refuse_if_outside,
@@ -178,6 +180,11 @@ class _Wanted:
         """The vehicles that fly every plan on the way, from its seed."""
         return fleet_of(self.belief, RATE, self.duration, seed=self.seed)
 
+    @functools.cached_property
+    def judges(self) -> tuple[Draw, ...]:
+        """The vehicles by which the plan is judged."""
+        return judges_of(self.belief, RATE, self.duration, self.seed)
+
 
 @dataclass(frozen=True)
 class _Choice:
@@ -251,6 +258,8 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
         factors = dict.fromkeys(wanted.axes, wanted.amplitude)
     else:
         factors = largest_amplitudes(plan, wanted.fleet, progress=progress)
+        common = largest_amplitude(with_amplitudes(plan, factors), wanted.judges)
+        factors = {axis: common * factor for axis, factor in factors.items()}
     return _Choice(with_amplitudes(plan, factors), factors)
 
 
@@ -376,8 +385,8 @@ def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Prog
     if wanted.amplitude is None and not 0.995 <= min(factors) <= max(factors) <= 1.005:
         sizes = ", ".join(f"{axis} {factor:.2g}" for axis, factor in chosen.factors.items())
         notes = [*notes, f"scaled to fit the space, of full amplitude: {sizes}"]
-    envelope = predicted_path(chosen.plan, wanted.fleet, part_of(progress, 0, 2))
-    refuse_if_outside(chosen.plan, wanted.fleet, envelope, max(factors))
+    envelope = predicted_path(chosen.plan, wanted.judges, part_of(progress, 0, 2))
+    refuse_if_outside(chosen.plan, wanted.judges, envelope, max(factors))
     information = informations([chosen.plan], wanted.belief, seed=wanted.seed, progress=part_of(progress, 1, 2))
     prediction = prediction_mapping(chosen.plan, envelope, precision_of(information), chosen.factors, notes)
     return replace(chosen.plan, predicted=prediction), information

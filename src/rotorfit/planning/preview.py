@@ -20,7 +20,7 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, NORMAL
 from rotorfit.core.writing import write_whole
 from rotorfit.planning.belief import belief_from_mapping
-from rotorfit.planning.envelope import Envelope, fleet_of, predicted_path
+from rotorfit.planning.envelope import Envelope, judges_of, predicted_path
 from rotorfit.planning.precision import excited_axes
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def write_picture(plan: Plan, path: Path) -> None:
     import matplotlib as mpl
 
     belief = belief_from_mapping(plan.belief, f"plan {plan.name}")
-    envelope = predicted_path(plan, fleet_of(belief, plan.rate, plan.duration, seed=plan.seed))
+    envelope = predicted_path(plan, judges_of(belief, plan.rate, plan.duration, plan.seed))
     with mpl.rc_context(STYLE):
         drawn = BytesIO()
         picture(plan, envelope).savefig(drawn, format="png", metadata={"Title": "rotorfit plan", "Software": None})

@@ -79,6 +79,9 @@ scales x and y, and a mode of the autopilot z with them."""
 LEAST_WINDOW = WINDOWS[0]
 """Shortest window that tells which coefficients shifted [s]: a shorter one takes one shift for another."""
 
+PAUSE = 2.0
+"""Time without poses that counts as a pause of the log [s]."""
+
 STEP = 0.2
 """Grid spacing of the time of a change [s]."""
 
@@ -566,9 +569,9 @@ def calm(scores: Scores, before: float, since: float, p_value: float) -> bool:
         since: Its probable time [s].
         p_value: That of the change.
     """
-    time, e = scores.time, scores.innovation
-    usual = max(float(np.mean(e[time < before - BEFORE] ** 2)) if time[0] < before - BEFORE else 1.0, 1.0)
-    last = e[(time >= before - BEFORE) & (time < before)]
+    time, e, begin = scores.time, scores.innovation, _flown_before(scores, before, BEFORE)
+    usual = max(float(np.mean(e[time < begin] ** 2)) if time[0] < begin else 1.0, 1.0)
+    last = e[(time >= begin) & (time < before)]
     after, compared = e[time > since + FADES], _compared(scores, [since])
     left = min(float(np.mean(after**2)) if after.size else np.inf, compared[0].noise if compared else np.inf)
     return (
@@ -603,11 +606,27 @@ def likeliest(scores: Scores, found: Contrast, looked: Sequence[Contrast]) -> Co
     """
     now = float(scores.time[-1])
     end = now - LEAST_WINDOW + STEP
-    tried = [one for t in np.arange(earliest(scores, found), end, STEP) if (one := contrast(scores, float(t)))]
+    begins = np.arange(earliest(scores, found), end, STEP)
+    _, distinct = np.unique(np.searchsorted(scores.time, begins), return_index=True)  # a pause holds a single one
+    tried = [one for t in begins[distinct] if (one := contrast(scores, float(t)))]
     near = [one for one in (found, *looked) if abs(one.since - found.since) < TOGETHER and pushes(scores.names, one)]
     return max((*tried, *near) or (found,), key=lambda one: one.statistic - 2 * one.directions)
 
 
 def earliest(scores: Scores, found: Contrast) -> float:
     """Earliest instant at which the change that a contrast shows may have come [s]."""
-    return max(found.since - WINDOWS[-1] / 4, float(scores.time[0]))
+    return max(_flown_before(scores, found.since, WINDOWS[-1] / 4), float(scores.time[0]))
+
+
+def _flown_before(scores: Scores, instant: float, seconds: float) -> float:
+    """The instant from which on some seconds were flown until another instant [s]: pauses of the log do not count.
+
+    Where the vehicle may have been another one after a pause, the pause belongs to the interval.
+    """
+    time = np.append(scores.time[scores.time < instant], instant)
+    begin = instant - seconds
+    for last in np.flatnonzero(np.diff(time) > PAUSE)[::-1]:
+        if time[last + 1] <= begin:
+            break
+        begin -= float(time[last + 1] - time[last])
+    return begin

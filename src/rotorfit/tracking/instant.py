@@ -47,7 +47,7 @@ def changed_when(scores: Scores, low: float) -> tuple[float, tuple[float, float]
     """
     now = now_of(scores)
     instants = np.arange(low, now.time[-1], SPACING)
-    first = np.searchsorted(now.time, instants)
+    first, of_row = np.unique(np.searchsorted(now.time, instants), return_inverse=True)  # a pause of the log has one
     shifts = [_shifts(now, at) for at in first]
     products = np.array([products_of(now, at, each) for at, each in zip(first, shifts, strict=True)])
     known = now.rows.shape[1] - 1
@@ -55,7 +55,7 @@ def changed_when(scores: Scores, low: float) -> tuple[float, tuple[float, float]
     best = int(np.argmax(log))
     products /= mean_square(now, first[best], shifts[best], solution[best])
     log, _ = log_posterior(products, known)
-    share = np.exp(log - log.max())
+    share = np.exp(log - log.max())[of_row]
     early, median, late = instants[np.searchsorted(np.cumsum(share), np.array([0.025, 0.5, 0.975]) * share.sum())]
     return float(median), (float(early) - SLACK, min(float(late) + SLACK, float(now.time[-1])))
 
