@@ -73,7 +73,11 @@ def lagged(lag: float = 0.1) -> Model:
     x, (g, b, tau) = model.axes["x"], VEHICLE["x"]
     plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
     own = replace(
-        x, structure="first_order_delay_lag", plain=plain, predictor=Predictor(g, b, tau - 0.8 * lag, {"lag": lag})
+        x,
+        structure="first_order_delay_lag",
+        plain=plain,
+        predictor=Predictor(g, b, tau - 0.8 * lag, {"lag": lag}),
+        ci95={},
     )
     names = (*model.covariance_names, "x.lag")
     covariance = block_diag(model.covariance, [[(0.02 * lag) ** 2]])

@@ -104,3 +104,16 @@ def test_a_law_without_a_delay_or_margins_of_its_own_promises_those_of_the_first
 
     assert known_vehicle(other, "x") == known_dynamics(model, "x")
     assert believed_possible(other, "x", 20, 3) == believed_possible(model, "x", 20, 3)
+
+
+def test_a_side_on_which_the_interval_reaches_further_than_the_standard_error_is_drawn_to_its_end() -> None:
+    model = model_of()
+    x = model.axes["x"]
+    g, error = VEHICLE["x"][0], x.stderr["input"]
+    skewed = replace(x, ci95={**x.ci95, "input": (g - 1.96 * error, g + 10 * error)})
+
+    drawn = np.array(believed_possible(replace(model, axes={"x": skewed}), "x", 4000, 0))[:, 0]
+
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    assert (g - low) / error == pytest.approx(1.96, rel=0.1)
+    assert (high - g) / error == pytest.approx(10.0, rel=0.1)

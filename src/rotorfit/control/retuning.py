@@ -284,7 +284,7 @@ def _with_law(model: Model, axis: str, law: Weighed) -> Model:
     plain = Plain(None, None, None, nothing, {}, dict.fromkeys(COEFFICIENTS, "ok"), law)  # what has settled is known
     known = replace(model.axes[axis], plain=plain)
     if law != first_order(model, axis):
-        known = replace(known, structure=STRUCTURE, laws=(), predictor=law.predictor)
+        known = replace(known, structure=STRUCTURE, laws=(), predictor=law.predictor, ci95={})
     return replace(model, axes={**model.axes, axis: known})
 
 

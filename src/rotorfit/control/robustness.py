@@ -1,6 +1,6 @@
 """Margins under uncertainty: a law around each of many vehicles drawn from a model's covariance."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,9 @@ from rotorfit.planning.belief import DELAY
 
 TINY = float(np.finfo(float).tiny)
 """Lower limit of the size of a loop whose gain is so small that it counts as zero."""
+
+NORMAL_95 = 1.96
+"""Half-width of a 95 % interval of a normal distribution, in standard deviations."""
 
 GRID = 300
 """Number of frequencies at which the loops of the draws are evaluated."""
@@ -97,8 +100,9 @@ def known_vehicle(model: Model, axis: str) -> LoopVehicle:
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[LoopVehicle]:
     """Vehicles drawn for an axis from the model: laws by their weights, parameters by their normal distributions.
 
-    No delay is below 0; one that the model does not know is drawn as that of commercial quadrotors, `belief.DELAY`. An
-    axis whose law has no margins of its own is drawn under the first-order law beside them.
+    Where an interval reaches further to a side than the standard error does, that side is drawn wider. No delay is
+    below 0; one that the model does not know is drawn as that of commercial quadrotors, `belief.DELAY`. An axis whose
+    law has no margins of its own is drawn under the first-order law beside them.
 
     Args:
         model: From a fit.
@@ -115,7 +119,8 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
         raise ModelError(f"the model has no covariance of {axis}, so no margin can be stated: fit its flights again")
     weight = np.array([law.weight for law in laws])
     counts = rng.multinomial(count, weight / weight.sum()) if len(laws) > 1 else [count]
-    return [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng)]
+    reach = _reach(model, axis, laws[0])
+    return [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
 
 
 def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
@@ -139,8 +144,30 @@ def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
     return (replace(chosen, weight=own.weight), *others)
 
 
-def _drawn(law: Weighed, count: int, rng: np.random.Generator) -> list[LoopVehicle]:
-    """Vehicles drawn from the distribution of one law.
+def _reach(model: Model, axis: str, law: Weighed) -> dict[str, tuple[float, float]]:
+    """How much further than 1.96 standard errors the interval of each parameter reaches down, and up; at least 1.
+
+    Profiles of input and damping are skewed where a flight tells little.
+    """
+    known = model.axes[axis]
+    ci95 = known.plain.ci95 if known.plain and law.structure != known.structure else known.ci95
+    at = {"input": law.predictor.input, "damping": law.predictor.damping, "delay": law.predictor.delay}
+    at |= law.predictor.extra
+    return {
+        name: (max(_times(at[name], low, error), 1.0), max(_times(at[name], high, error), 1.0))
+        for name, error in law.stderr.items()
+        for low, high in [ci95.get(name, (None, None))]
+    }
+
+
+def _times(point: float, end: float | None, error: float) -> float:
+    return 1.0 if end is None or error == 0 else abs(end - point) / (NORMAL_95 * error)
+
+
+def _drawn(
+    law: Weighed, count: int, rng: np.random.Generator, reach: Mapping[str, tuple[float, float]]
+) -> list[LoopVehicle]:
+    """Vehicles drawn from the distribution of one law, further out to the sides that `reach` names.
 
     Where a lag or a zero would leave its range, it stays at the end, and the delay takes up what is left: the data tell
     their sum better than the parts.
@@ -148,10 +175,12 @@ def _drawn(law: Weighed, count: int, rng: np.random.Generator) -> list[LoopVehic
     structure, point = structure_named(law.structure), law.predictor
     extras = {one.name: one for one in structure.extras}
     center = {"input": point.input, "damping": point.damping, "delay": point.delay, **point.extra}
-    off = rng.multivariate_normal(np.zeros(len(law.stderr)), law.covariance, count)
+    # what delay and zero do alike may have thousands of seconds of error, next to which rounding looks like indefinite
+    off = rng.multivariate_normal(np.zeros(len(law.stderr)), law.covariance, count, check_valid="ignore")
     values = {name: np.full(count, value) for name, value in center.items()}
     for name, moved in zip(law.stderr, off.T, strict=True):
-        values[name] = values[name] + moved
+        down, up = reach.get(name, (1.0, 1.0))
+        values[name] = values[name] + moved * np.where(moved < 0, down, up)
     if "delay" not in law.stderr:
         values["delay"] = rng.normal(*DELAY, count)
     for name, extra in extras.items():

@@ -227,8 +227,8 @@ def _fastest(
             break
     frozen = axis in frozen_axes(model.findings)
     remedy = MEND if frozen else "fly the next flight (`rotorfit plan --after`) and fit again"
-    structure = model.axes[axis].structure
-    if isinstance(own, LaggedAxis) and not frozen:
+    structure, status = model.axes[axis].structure, model.axes[axis].status
+    if isinstance(own, LaggedAxis) and not frozen and all(status[name] == "ok" for name in COEFFICIENTS):
         remedy = (
             f"more flights do not help where its {structure} is known well: gains would be those of the first-order "
             "law; design a controller for the law itself (`rotorfit export --to python-control`)"
