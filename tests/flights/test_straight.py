@@ -7,6 +7,7 @@ import pytest
 
 from flights import CARD, steps
 from rotorfit.core.log import Log, Table
+from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.clocks.arrival import straightened
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps
@@ -102,6 +103,10 @@ def test_stamps_of_the_recorder_are_straightened_where_no_header_was_filled(tabl
         assert note.count == len(flown(table, True, header).tables[table].columns["log_time"])
         time = flight.pose_time if what == "pose" else flight.command_time
         assert np.ptp(np.diff(time)) < 0.002
+        late = float(note.text.partition("late by ")[2].partition(" ms")[0])
+        assert 1e3 * flight.stamp_error == pytest.approx(late, abs=0.05)  # for what no clock shows
+        found = findings_of_flight(flown(table, True, header), flight)
+        assert not {"clock_drift", "stamp_jitter"} & {one.code for one in found}
 
 
 def test_a_filled_header_is_left_alone_and_so_is_a_recorder_beside_it() -> None:

@@ -132,6 +132,9 @@ LATENESS = 0.002
 """Mean lateness of a change of the command above which it is reported [s]."""
 
 
+_CORRECTED = ("command_clock_corrected", "pose_clock_corrected")
+
+
 def clock_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the stamps of one flight."""
     log, card, flight = recording.log, recording.card, recording.flight
@@ -150,7 +153,8 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     if flight.clocks is not None:
         yield from two_files(flight.clocks)
     else:
-        yield from _corrected(flight) if flight.stamp_error else _two_clocks(log, card)
+        corrected = any(note.code in _CORRECTED for note in flight.notes)
+        yield from _corrected(flight) if corrected else _two_clocks(log, card)
     yield from _coarse(flight)
     yield from _stale(flight)
 
@@ -220,7 +224,7 @@ def _jitter(what: str, stamps: Stamps, flight: Flight, effect: str) -> Iterator[
 
 def _corrected(flight: Flight) -> Iterator[Finding]:
     """A clock that drifts or steps against the recorder's, and was corrected."""
-    told = [note.text for note in flight.notes if note.code in ("command_clock_corrected", "pose_clock_corrected")]
+    told = [note.text for note in flight.notes if note.code in _CORRECTED]
     yield Finding(
         "clock_drift",
         "info",

@@ -152,7 +152,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     channels = (("command", card.command), ("pose", card.pose), ("velocity", card.velocity))
     refuse_shared({f"[{part}] {axis}": one for part, known in channels for axis, one in known.items()}, str(log.path))
     units = unit_note(written, card)
-    log, stamped = with_sound_stamps(log, card)
+    log, stamped, unseen = with_sound_stamps(log, card)
     log, corrected, stamp_error = on_the_recorders_clock(log, card)
     log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
@@ -206,7 +206,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
         clocks=clocks,
         velocity=velocity,
-        stamp_error=stamp_error,
+        stamp_error=float(np.hypot(stamp_error, unseen)),
         command_lateness=_row_period(log, card),
     )
 
