@@ -243,6 +243,17 @@ def test_no_export_lets_a_command_act_before_it_is_sent(model: Model) -> None:
     assert min(ages) == 0
 
 
+def test_a_command_that_moves_the_vehicle_backwards_is_told(model: Model) -> None:
+    z = model.axes["z"]
+    assert z.predictor is not None
+    turned = replace(model, axes={**model.axes, "z": replace(z, predictor=replace(z.predictor, input=-2.0))})
+
+    assert "The input of z is negative: a positive command moves the vehicle down." in " ".join(
+        export(turned, "numpy").notes
+    )
+    assert not any("is negative" in note for note in export(model, "numpy").notes)
+
+
 def test_an_axis_that_the_data_cannot_tell_is_left_out_with_a_sentence_and_keeps_its_velocity(
     run: ModuleType, model: Model, tmp_path: Path
 ) -> None:

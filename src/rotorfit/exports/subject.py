@@ -158,6 +158,10 @@ def unknown_of(axis: Axis) -> list[str]:
     return [f"{name} ({axis.status.get(name, 'unknown')})" for name, value in known.items() if value is None]
 
 
+BACKWARDS = {"x": "backwards", "y": "to the right", "z": "down", "yaw": "clockwise"}
+"""Where an axis moves in its negative direction."""
+
+
 def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
     """The model without the axes that are left out, and a sentence on each of those."""
     axes, notes, missing = dict(model.axes), [], dict[str, str]()
@@ -182,6 +186,12 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
             notes.append(f"{one} is left out, too: {missing[one]}.")
     if not any(axis.predictor for axis in axes.values()):
         raise ExportError(f"nothing to export: {by_reason(missing)}; {_remedy(model)}")
+    notes += [
+        f"The input of {name} is negative: a positive command moves the vehicle {backwards}. Where the card should "
+        f"turn {name} of [command], correct it and fit again."
+        for name, backwards in BACKWARDS.items()
+        if (known := axes[name].predictor) and known.input < 0
+    ]
     return replace(model, axes=axes), notes
 
 
