@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+import textwrap
 import tomllib
 import types
 import xml.etree.ElementTree as ET
@@ -553,6 +554,18 @@ def test_rotorpys_velocity_command_becomes_the_command_whose_steady_speed_it_is(
     for _ in range(500):
         state = vehicle.step(state, {"cmd_v": np.array([0.0, 0.0, 0.5])}, 0.02)
     assert state["v"] == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
+
+
+def test_the_example_in_the_header_of_rotorpys_vehicle_runs(run: ModuleType, model: Model, tmp_path: Path) -> None:
+    needed(run, "rotorpy")
+    module = run.loaded(export(model, "rotorpy"), tmp_path)
+    example = textwrap.dedent("    from rotorpy" + module.__doc__.split("    from rotorpy", 1)[1])
+
+    exec(example, module.__dict__)
+
+    state = module.result["state"]
+    assert module.result["time"][-1] == pytest.approx(10.0, abs=0.02)
+    assert state["w"][-1] == pytest.approx([0.0, 0.0, 0.2], abs=1e-6)
 
 
 def test_gazebo_holds_the_default_law_only(model: Model) -> None:
