@@ -196,6 +196,22 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
     assert page.complaints == []  # type: ignore[attr-defined]
 
 
+def test_a_number_that_is_refused_does_not_stay_in_its_box(context: BrowserContext, address: str) -> None:
+    page = opened(context, address)
+    drop(page, "flight.bag", bag(1))
+    expect(page.locator("#logs .cards li")).to_have_count(1)
+    step(page, "Card")
+    expect(page.get_by_label("The card as TOML")).to_have_value(re.compile("command"))
+    step(page, "Ranges")
+    start = page.get_by_label("From in seconds")
+    for seconds in ("200", "300"):
+        start.fill(seconds)
+        start.press("Enter")
+        expect(page.locator("#notices .error").last).to_contain_text(f"from {seconds} s to the end holds nothing")
+        expect(start).to_have_value("")
+    assert page.complaints == []  # type: ignore[attr-defined]
+
+
 def test_a_bad_file_and_a_wicked_name_do_no_harm(context: BrowserContext, address: str) -> None:
     page = opened(context, address)
     wicked = '<img src=x onerror="alert(1)">.bag'

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import time
 from collections.abc import Iterator
@@ -221,6 +222,17 @@ def test_ranges_that_cannot_be_meant_are_refused(page: TestClient, parts: list[A
     assert session_of(page)["uploads"][0]["revision"] == 0
 
 
+def test_a_range_outside_the_flight_is_refused_and_says_where_the_flight_is(page: TestClient) -> None:
+    log = drafted(page)
+    for start, end in ((200, 300), (200, None), (None, -5), (-9, -5)):
+        answer = ranges(page, log, ("train", start, end))
+        assert answer.status_code == 422
+        assert re.search(r"flight\.bag: a range from .* holds nothing of the flight, 0\.00 to 1\d\.\d\d s", answer.text)
+    assert session_of(page)["uploads"][0]["revision"] == 0
+
+    assert ranges(page, log, ("train", -5, 1000)).status_code == 200
+
+
 # Fits
 
 
@@ -396,6 +408,23 @@ def test_a_fit_that_cannot_be_says_why_in_one_line(studio: Studio, page: TestCli
     (fit,) = session_of(page)["fits"]
     assert fit["status"] == "failed"
     assert "at least 2 s" in fit["text"]
+
+
+def test_a_fit_calls_logs_as_the_user_does(studio: Studio, page: TestClient) -> None:
+    name = 'my "flight" <1>.bag'
+    page.put("/api/card", json={"draft": added(page, name), "seen": 0})
+    added(page, "the proof.bag", bag(2))
+    for seconds, status in ((None, "done"), (1, "failed")):
+        assert ranges(page, "1", ("train", 0, seconds)).status_code == 200
+        assert page.post("/api/fits", json={"axes": ["x"], "method": "paper"}).status_code == 200
+        settled(studio)
+        assert session_of(page)["fits"][-1]["status"] == status
+
+    assert session_of(page)["fits"][-1]["text"].startswith(f"{name}: ")
+    result = page.get("/api/fits/1/result.json")
+    assert [one["path"] for one in result.json()["flights"]] == ["the proof.bag", name]
+    for copied in ("my_flight", "the_proof", "logs/"):
+        assert copied not in result.text
 
 
 def test_the_worker_does_not_outlive_the_studio(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Checks what a page requests: ranges, changes of the card, fits, windows. All else is refused in one line."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, cast
 
 from rotorfit.app.web.card_lines import card_from_text, with_value
@@ -34,6 +34,22 @@ def ranges_from(body: Any) -> tuple[tuple[Range, ...], int]:
     if len(parts) > MOST_RANGES:
         raise RequestError(f"at most {MOST_RANGES} ranges a log")
     return tuple(_range(part) for part in parts), _field(body, "seen", int)
+
+
+def check_inside(ranges: Iterable[Range], span: tuple[float, float], name: str) -> None:
+    """Refuses a range that holds nothing of the flight of the log `name`, whose span is given [s]."""
+    first, last = span
+    for part in ranges:
+        start, end = first if part.start is None else part.start, last if part.end is None else part.end
+        if not max(start, first) < min(end, last):
+            words = f"from {_words(part.start, 'the start')} to {_words(part.end, 'the end')}"
+            raise RequestError(
+                f"{name}: a range {words} holds nothing of the flight, {first:.2f} to {last:.2f} s; mark a part of that"
+            )
+
+
+def _words(second: float | None, otherwise: str) -> str:
+    return otherwise if second is None else f"{second:g} s"
 
 
 def _range(part: Any) -> Range:
@@ -85,6 +101,7 @@ def fit_request(
     body: Any, session: Session, path_of: Callable[[Upload], str]
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The request for the worker, and the ranges of the logs in words."""
+    names = {path_of(upload): upload.name for upload in session.uploads}
     spans: dict[str, list[tuple[str, float | None, float | None]]] = {"train": [], "validate": []}
     for upload in session.uploads:
         for part in upload.ranges:
@@ -103,7 +120,7 @@ def fit_request(
             raise RequestError(
                 "mark a stretch for validation first: models are compared on flights that none was fitted to"
             )
-        return {"kind": "compare", "models": list(dict.fromkeys(map(str, models))), **spans}, words
+        return {"kind": "compare", "models": list(dict.fromkeys(map(str, models))), **spans, "names": names}, words
     if not session.card:
         raise RequestError("there is no card yet; draft one on the page Card")
     card_from_text(session.card)
@@ -118,7 +135,7 @@ def fit_request(
         raise RequestError("choose at least one axis to fit")
     uncertainty = bool(body.get("uncertainty")) and METHODS[method].likelihood
     settings = {"method": method, "structure": structure, "axes": axes, "uncertainty": uncertainty}
-    return {"kind": "fit", **settings, **spans}, words
+    return {"kind": "fit", **settings, **spans, "names": names}, words
 
 
 def live_request(body: Any, session: Session) -> tuple[str, str, bool]:

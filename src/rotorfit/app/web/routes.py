@@ -19,7 +19,7 @@ from starlette.types import ASGIApp
 from rotorfit.app.live.feed import live_routes
 from rotorfit.app.loopback.files import file_of, static
 from rotorfit.app.loopback.gate import SANDBOX, refused
-from rotorfit.app.web.asking import edits_from, fit_request, live_request, ranges_from, window_from
+from rotorfit.app.web.asking import check_inside, edits_from, fit_request, live_request, ranges_from, window_from
 from rotorfit.app.web.following import Follower
 from rotorfit.app.web.runner import BusyError, Runner
 from rotorfit.app.web.shelf import Shelf
@@ -183,7 +183,16 @@ class Studio:
         """Sets the ranges of a log for training and for validation."""
         upload = self._upload(request)
         ranges, seen = ranges_from(body)
+        if (span := self._span(upload)) is not None:
+            check_inside(ranges, span, upload.name)
         self.workspace.set_ranges(upload.id, ranges, seen)
+
+    def _span(self, upload: Upload) -> tuple[float, float] | None:
+        """Span of the flight in a log [s]; None while the card makes none of it, which pages and fits tell."""
+        try:
+            return self.shelf.flight(upload, self._card()).span
+        except RotorfitError:
+            return None
 
     def card(self, _: Request, body: Any) -> Any:
         """Changes the card by a text, single values, a built-in card or a draft for a log; returns its revision."""

@@ -41,7 +41,7 @@ class Runner:
             if self._running is not None:
                 raise BusyError("a fit is running; wait for it, or cancel it")
             fit = self._workspace.begin_fit(
-                {name: value for name, value in request.items() if name not in ("train", "validate")}, logs
+                {name: value for name, value in request.items() if name not in ("train", "validate", "names")}, logs
             )
             try:
                 process = self._process_of(fit, request, card)

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -40,6 +41,7 @@ UNPROVEN = Validation((), dict.fromkeys(BASELINES, ()), dict.fromkeys(("model", 
 """The validation on no flights."""
 
 _PLACE = re.compile(r"logs/\d+/")
+"""What is left out of the report, so that its command lines run where the user keeps the logs."""
 
 
 def run(workspace: Path, fit_id: str, progress: Progress) -> str:
@@ -54,9 +56,13 @@ def run(workspace: Path, fit_id: str, progress: Progress) -> str:
         request = plain_json(text_of(folder / "request.json"))
     except ValueError as error:
         raise WorkspaceError(f"what was asked for is damaged ({error}); start the fit again") from None
-    if request["kind"] == "compare":
-        return _compare(folder, request, progress)
-    return _fit(folder, request, progress)
+    names = request["names"]
+    carry_out = _compare if request["kind"] == "compare" else _fit
+    try:
+        line = carry_out(folder, request, lambda fraction, text: progress(fraction, with_names(text, names)))
+    except RotorfitError as error:
+        raise RotorfitError(with_names(str(error), names)) from None
+    return str(with_names(line, names))
 
 
 def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
@@ -94,9 +100,9 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
     progress(PROVING, "drawing")
     (evidence,) = evidence_of([Case(f"model-{folder.name}.json", fitted.model, fitted.flights, validation, flights)])
     result = result_mapping(evidence)
-    _write_result(folder, {**result, "left_out": left})
+    _write_result(folder, with_names({**result, "left_out": left}, request["names"]))
     progress(PROVING + 0.02, "writing the report")
-    write_whole(folder / "report.html", _as_the_user_has_them(page([evidence])))
+    write_whole(folder / "report.html", _PLACE.sub("", page([evidence])))
     return f"{result['horizon']:g} s ahead: {result['headline']}{_without(left)}"
 
 
@@ -113,23 +119,30 @@ def _compare(folder: Path, request: dict[str, Any], progress: Progress) -> str:
             raise
         comparison = compare_models(paths, models, spans, progress=progress)
     result = compared_mapping(comparison, request["models"], models, comparison_mapping(comparison))
-    _write_result(folder, {**result, "left_out": left})
+    _write_result(folder, with_names({**result, "left_out": left}, request["names"]))
     return f"{len(paths)} models on {len(spans)} stretches{_without(left)}"
 
 
 def _without(left: list[str]) -> str:
     """The end of the line about the result: what was left out."""
-    return _as_the_user_has_them(f"; left out: {' / '.join(left)}") if left else ""
+    return f"; left out: {' / '.join(left)}" if left else ""
 
 
 def _write_result(folder: Path, result: dict[str, Any]) -> None:
     """Writes the result for the page."""
-    write_whole(folder / "result.json", _as_the_user_has_them(json.dumps(result, allow_nan=False)))
+    write_whole(folder / "result.json", json.dumps(result, allow_nan=False))
 
 
-def _as_the_user_has_them(text: str) -> str:
-    """A text with logs by their names, so that its command lines run where the user keeps them."""
-    return _PLACE.sub("", text)
+def with_names(told: Any, names: Mapping[str, str]) -> Any:
+    """Texts, or JSON with texts, in which each path among `names` is the name that the user gave the log."""
+    if isinstance(told, dict):
+        return {key: with_names(one, names) for key, one in told.items()}
+    if isinstance(told, list | tuple):
+        return [with_names(one, names) for one in told]
+    if isinstance(told, str):
+        for path, name in names.items():
+            told = told.replace(path, name)
+    return told
 
 
 def main(workspace: str, fit_id: str) -> int:
@@ -137,9 +150,7 @@ def main(workspace: str, fit_id: str) -> int:
     os.nice(5)  # the page comes first
     Thread(target=_end_with_the_studio, daemon=True).start()
     try:
-        text = run(
-            Path(workspace), fit_id, lambda fraction, text: _say(fraction=fraction, text=_as_the_user_has_them(text))
-        )
+        text = run(Path(workspace), fit_id, lambda fraction, text: _say(fraction=fraction, text=text))
     except RotorfitError as error:
         _say(error=" ".join(str(error).split()))
         return 1

@@ -44,7 +44,7 @@ function rangeBlock(first, studio) {
       quick("All training", () => [{role: "train", start: null, end: null}]), quick("All validation", () => [{role: "validate", start: null, end: null}]),
       quick("Split 70 : 30", () => [{role: "train", start: null, end: cut()}, {role: "validate", start: cut(), end: null}]), quick("Use nothing", () => [])));
   const element = h("article", {className: "panel", "data-log": first.id}, h("h2", {}, first.name), state, tools, canvas, list);
-  const put = ranges => studio.change("PUT", `/api/logs/${log.id}/ranges`, {ranges, seen: log.revision});
+  const put = ranges => studio.change("PUT", `/api/logs/${log.id}/ranges`, {ranges, seen: log.revision}, rows); // a refused number does not stay in its box
   const closed = one => ({role: one.role, start: one.start ?? span[0], end: one.end ?? span[1]});
 
   async function load() {
