@@ -7,7 +7,7 @@ import pytest
 from test_views import flown, known_axis, known_model
 
 from rotorfit.assessment.evidence import correlograms
-from rotorfit.assessment.rows import coefficient_rows, scores_of
+from rotorfit.assessment.rows import HorizonErrors, coefficient_rows, scores_of
 from rotorfit.assessment.validation import residuals, validate
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
@@ -91,6 +91,41 @@ def test_the_band_of_a_horizon_chart_is_the_paired_interval_around_the_model(fli
     assert against.rmse_stderr is not None
     assert high[1] - own[1] == pytest.approx(100 * student_quantile(against.freedom or 0.0) * against.rmse_stderr)
     assert np.all((low[:2] < own[:2]) | np.isnan(low[:2]))
+
+
+def test_a_band_that_reaches_down_to_zero_leaves_the_chart_and_does_not_stretch_it(flight: Flight) -> None:
+    validation = validate(known_model(), [flight])
+    for chart in horizon_charts(scores_of(validation, [flight]), [_uncertain(test) for test in validation.paired]):
+        low, high = (line.y for line in chart.lines if line.role == "band")
+        errors = np.concatenate([line.y for line in chart.lines if line.role != "band"])
+        known = np.isfinite(high)
+
+        assert known.any()
+        assert chart.y_range is not None
+        assert np.all((low[known] > 0) & (low[known] < chart.y_range[0]))
+        assert chart.y_range == pytest.approx((0.7 * np.nanmin(errors), 1.4 * np.nanmax(high)))
+
+
+def test_errors_that_are_all_zero_make_an_empty_chart() -> None:
+    none = {"model": 0.0, "hold": 0.0, "paper": None}
+    for chart in horizon_charts([HorizonErrors("yaw", 1.0, none, none, 10)]):
+        assert chart.lines == ()
+        draw_chart(chart, 300, 200)
+
+
+def _uncertain(test: PairedTest) -> PairedTest:
+    """A test whose standard errors are 100 times the differences."""
+    axes = {
+        axis: {
+            key: {
+                what: replace(one, pooled=one.pooled and replace(one.pooled, rmse_stderr=100 * abs(one.pooled.rmse)))
+                for what, one in each.items()
+            }
+            for key, each in horizons.items()
+        }
+        for axis, horizons in test.axes.items()
+    }
+    return replace(test, axes=axes)
 
 
 def test_an_axis_without_a_model_has_no_horizon_chart(flight: Flight) -> None:

@@ -23,6 +23,12 @@ SURELY_HIGHER = 0.1
 NAMES = {"hold": "hold the velocity", "paper": "paper's coefficients", "model": "this model"}
 """Predictors that are compared, with their names, in the order of drawing."""
 
+INDISTINGUISHABLE = "not distinguishable at 95 %"
+"""Name of the lines between which another predictor's error does not differ significantly from the model's."""
+
+BELOW = 1e3
+"""How far below the chart such a line ends that would reach 0, which has no place on a logarithmic scale."""
+
 
 def horizon_charts(scores: Sequence[HorizonErrors], paired: Sequence[PairedTest] = ()) -> tuple[Chart, ...]:
     """Velocity and position error over the horizon of the axes that have a model, beside the naive baselines.
@@ -60,8 +66,12 @@ def _horizon_chart(scores: Sequence[HorizonErrors], what: str, unit: str, factor
     positive = {role: np.where(y > 0, y, np.nan) for role, y in series.items()}
     lines = tuple(Line(NAMES[role], role, y) for role, y in positive.items() if np.isfinite(y).any())
     told = "; ".join(f"{line.name} {_listed(x, line.y)} {unit}" for line in lines)
-    sides = [positive["model"] + sign * factor * half for sign in (-1, 1)]
-    lines += tuple(Line("95 % band", "band", np.where(y > 0, y, np.nan)) for y in sides if np.isfinite(y).any())
+    upper, lower = (positive["model"] + sign * factor * half for sign in (1, -1))
+    shown = np.concatenate([upper, *(line.y for line in lines)])
+    known = shown[np.isfinite(shown)] if lines else np.ones(1)  # where every error is 0 there is nothing to draw
+    bottom, top = 0.7 * float(known.min()), 1.4 * float(known.max())
+    lower = np.maximum(lower, bottom / BELOW)
+    lines += tuple(Line(INDISTINGUISHABLE, "band", y) for y in (lower, upper) if np.isfinite(y).any())
     axis = scores[0].axis
     return Chart(
         kind=f"horizon_{what}",
@@ -74,6 +84,7 @@ def _horizon_chart(scores: Sequence[HorizonErrors], what: str, unit: str, factor
         reading="Lower is better: the gap to the dotted line is what the model knows beyond 'it keeps its velocity', "
         "and equal gaps are equal factors.",
         summary=f"{what} RMSE of {axis} over {scores[0].n} predictions: {told}.",
+        y_range=(bottom, top),  # not stretched by a lower end that comes near 0
         y_log=True,
     )
 

@@ -209,7 +209,7 @@ export class DrawnChart extends Sized {
     const {spec} = this;
     this.chart = new uPlot({
       width: this.place.clientWidth, height: this.height, padding: [8, 12, 0, 0],
-      scales: {x: {time: false}, y: {...(spec.y_log ? {distr: 3} : {}), ...(spec.y_range ? {range: () => spec.y_range} : {})}},
+      scales: {x: {time: false}, y: {...(spec.y_log ? {distr: 3} : {}), ...(spec.y_range ? {range: () => spec.y_log ? uPlot.rangeLog(...spec.y_range, 10, false) : spec.y_range} : {})}},
       cursor: {y: false, drag: {x: true, y: false}, points: {size: 5}, ...(this.key ? {sync: {key: this.key}} : {})},
       legend: {show: this.legend},
       series: seriesOf(spec.lines, () => true).map((one, i) => i ? one : {label: spec.x_label.split(" [")[0], value: (_, v) => number(v)}),
