@@ -423,6 +423,7 @@ def test_a_fit_calls_logs_as_the_user_does(studio: Studio, page: TestClient) -> 
     assert session_of(page)["fits"][-1]["text"].startswith(f"{name}: ")
     result = page.get("/api/fits/1/result.json")
     assert [one["path"] for one in result.json()["flights"]] == ["the proof.bag", name]
+    assert "Validate it" not in result.json()["summary"]
     for copied in ("my_flight", "the_proof", "logs/"):
         assert copied not in result.text
 

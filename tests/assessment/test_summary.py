@@ -54,6 +54,14 @@ def test_what_is_known_and_what_is_not_is_listed_by_axis() -> None:
     assert "No numbers: no flight excites z or yaw." in found
 
 
+def test_only_who_has_not_validated_is_asked_to() -> None:
+    known = model({"x": axis()})
+
+    assert summary_of_model(known).endswith(" Validate it on a flight that was not fitted.")
+    assert "Validate" not in summary_of_model(known, validated=True)
+    assert "Validate" not in summary_of_model(model({}))
+
+
 def test_axes_that_were_not_asked_for_are_passed_over() -> None:
     found = summary_of_model(model({"x": axis()}, [finding("error", "z")]), axes=("x",))
 

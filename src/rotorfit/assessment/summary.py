@@ -26,12 +26,13 @@ _REASONS = {
 BELIEVED = ", with the card's prior"
 
 
-def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
+def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool = False) -> str:
     """What the flights did and did not determine, and what must be read before the numbers are used.
 
     Args:
         model: The model with its findings.
         axes: The requested axes; the others are not mentioned.
+        validated: Whether it has been validated; else the summary asks to.
     """
     wanted = [axis for axis in AXES if axis in axes]
     time = sum(end - start for start, end in (flight.span for flight in model.flights))
@@ -52,7 +53,10 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
         sentences.append(f"No numbers: {'; '.join(reasons)}.")
     if set(unknown.values()) == {"not_excited"} and len(unknown) == len(wanted):
         sentences.append("Fly one that does: `rotorfit plan` designs it.")
-    return " ".join([*sentences, *_warnings(model, wanted)])
+    sentences += _warnings(model, wanted)
+    if not validated and any(model.axes[axis].predictor for axis in wanted):
+        sentences.append("Validate it on a flight that was not fitted.")
+    return " ".join(sentences)
 
 
 def _spoiled(model: Model, wanted: Sequence[str]) -> list[str]:
@@ -105,5 +109,3 @@ def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
         yield f"Do not use {listed(spoiled)} before you have read the findings."
     if warnings:
         yield "One finding is a warning." if warnings == 1 else f"{warnings} findings are warnings."
-    if any(model.axes[axis].predictor for axis in wanted):
-        yield "Validate it on a flight that was not fitted."

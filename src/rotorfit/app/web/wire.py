@@ -156,7 +156,7 @@ def result_mapping(evidence: Evidence) -> dict[str, Any]:
         "headline": verdict.headline,
         "whole": verdict.whole,
         "horizon": verdict.horizon,
-        "summary": summary_of_model(model),
+        "summary": summary_of_model(model, validated=any(not flight.fitted for flight in validation.flights)),
         "lights": [asdict(light) for light in verdict.lights],
         "coefficients": [
             {"axis": axis, "rows": [asdict(row) for row in rows]}
