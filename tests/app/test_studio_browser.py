@@ -174,6 +174,20 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
         == "SecurityError"
     )
 
+    stale = page.locator("#fit > .notice")
+    expect(stale).to_be_hidden()
+    for scale, words in ((-1, "Fit 1: card changed since."), (1, "")):
+        step(page, "Card")
+        page.get_by_label("Turn the sign of command x").click()
+        expect(page.get_by_label("Turn the sign of command x")).to_have_attribute(
+            "aria-pressed", str(scale < 0).lower()
+        )
+        step(page, "Fit")
+        expect(stale).to_be_visible(visible=bool(words))
+        if words:
+            expect(stale).to_contain_text(words)
+    expect(page.locator("#fit .fits")).to_contain_text("training: 1 s to")
+
     page.reload()
     expect(page.locator("#result .question")).to_contain_text("looks 1 s ahead")
     page.get_by_label("For", exact=True).select_option("gazebo")
@@ -207,7 +221,7 @@ def test_a_number_that_is_refused_does_not_stay_in_its_box(context: BrowserConte
     for seconds in ("200", "300"):
         start.fill(seconds)
         start.press("Enter")
-        expect(page.locator("#notices .error").last).to_contain_text(f"from {seconds} s to the end holds nothing")
+        expect(page.locator("#notices .error").last).to_contain_text(f"the range {seconds} s to end holds nothing")
         expect(start).to_have_value("")
     assert page.complaints == []  # type: ignore[attr-defined]
 

@@ -227,7 +227,7 @@ def test_a_range_outside_the_flight_is_refused_and_says_where_the_flight_is(page
     for start, end in ((200, 300), (200, None), (None, -5), (-9, -5)):
         answer = ranges(page, log, ("train", start, end))
         assert answer.status_code == 422
-        assert re.search(r"flight\.bag: a range from .* holds nothing of the flight, 0\.00 to 1\d\.\d\d s", answer.text)
+        assert re.search(r"flight\.bag: the range .* holds nothing of the flight, 0\.00 to 1\d\.\d\d s", answer.text)
     assert session_of(page)["uploads"][0]["revision"] == 0
 
     assert ranges(page, log, ("train", -5, 1000)).status_code == 200
@@ -391,6 +391,34 @@ def test_a_fit_that_is_cancelled_stops_and_can_be_removed(studio: Studio, page: 
     assert session_of(page)["fits"][0]["status"] == "stopped"
     assert page.delete("/api/fits/1").status_code == 200
     assert list((studio.workspace.folder / "fits").iterdir()) == []
+
+
+def test_a_fit_knows_what_has_changed_since(studio: Studio, page: TestClient) -> None:
+    log = drafted(page)
+    revision = session_of(page)["card_revision"]
+    assert ranges(page, log, ("train", None, 9), ("validate", 9, None)).status_code == 200
+    assert page.post("/api/fits", json={}).status_code == 200
+    page.post("/api/fits/1/cancel")
+    settled(studio)
+
+    def fit() -> Any:
+        return session_of(page)["fits"][0]
+
+    def turned(scale: int) -> None:
+        edit = {"section": "command", "key": "x", "value": {"scale": scale}}
+        assert page.put("/api/card", json={"edits": [edit], "seen": session_of(page)["card_revision"]}).is_success
+
+    assert fit()["logs"] == ["training: start to 9 s of flight.bag", "validation: 9 s to end of flight.bag"]
+    assert fit()["settings"]["card_revision"] == revision
+    assert fit()["changed"] == []
+    before = session_of(page)["card"]
+    turned(-1)
+    assert fit()["changed"] == ["card"]
+    ranges(page, log, ("train", None, None))
+    assert fit()["changed"] == ["card", "ranges"]
+    ranges(page, log, ("train", None, 9), ("validate", 9, None))
+    page.put("/api/card", json={"text": before, "seen": session_of(page)["card_revision"]})
+    assert fit()["changed"] == []
 
 
 def test_a_fit_that_cannot_be_says_why_in_one_line(studio: Studio, page: TestClient) -> None:

@@ -42,14 +42,10 @@ def check_inside(ranges: Iterable[Range], span: tuple[float, float], name: str) 
     for part in ranges:
         start, end = first if part.start is None else part.start, last if part.end is None else part.end
         if not max(start, first) < min(end, last):
-            words = f"from {_words(part.start, 'the start')} to {_words(part.end, 'the end')}"
             raise RequestError(
-                f"{name}: a range {words} holds nothing of the flight, {first:.2f} to {last:.2f} s; mark a part of that"
+                f"{name}: the range {part.words} holds nothing of the flight, {first:.2f} to {last:.2f} s; "
+                "mark a part of that"
             )
-
-
-def _words(second: float | None, otherwise: str) -> str:
-    return otherwise if second is None else f"{second:g} s"
 
 
 def _range(part: Any) -> Range:
@@ -106,11 +102,6 @@ def fit_request(
     for upload in session.uploads:
         for part in upload.ranges:
             spans[part.role].append((path_of(upload), part.start, part.end))
-    words = tuple(
-        f"{upload.name} {_end(part.start)}:{_end(part.end)} {part.role}"
-        for upload in session.uploads
-        for part in upload.ranges
-    )
     if "compare" in body:
         models = _field(body, "compare", list)
         done = [fit.id for fit in session.fits if fit.status == "done" and fit.settings.get("kind") == "fit"]
@@ -120,7 +111,12 @@ def fit_request(
             raise RequestError(
                 "mark a stretch for validation first: models are compared on flights that none was fitted to"
             )
-        return {"kind": "compare", "models": list(dict.fromkeys(map(str, models))), **spans, "names": names}, words
+        return {
+            "kind": "compare",
+            "models": list(dict.fromkeys(map(str, models))),
+            **spans,
+            "names": names,
+        }, session.marked
     if not session.card:
         raise RequestError("there is no card yet; draft one on the page Card")
     card_from_text(session.card)
@@ -135,7 +131,8 @@ def fit_request(
         raise RequestError("choose at least one axis to fit")
     uncertainty = bool(body.get("uncertainty")) and METHODS[method].likelihood
     settings = {"method": method, "structure": structure, "axes": axes, "uncertainty": uncertainty}
-    return {"kind": "fit", **settings, **spans, "names": names}, words
+    settings |= {"card_revision": session.card_revision, "card_sha256": session.card_sha256}
+    return {"kind": "fit", **settings, **spans, "names": names}, session.marked
 
 
 def live_request(body: Any, session: Session) -> tuple[str, str, bool]:
@@ -153,10 +150,6 @@ def live_request(body: Any, session: Session) -> tuple[str, str, bool]:
     if card == SESSION_CARD and not session.card:
         raise RequestError("there is no card yet; draft one on the page Card")
     return link, session.card if card == SESSION_CARD else card, card == SESSION_CARD
-
-
-def _end(value: float | None) -> str:
-    return "" if value is None else f"{value:g}"
 
 
 def _one_of(body: Mapping[str, Any], name: str, known: tuple[str, ...], otherwise: str) -> str:

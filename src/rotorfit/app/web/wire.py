@@ -44,6 +44,7 @@ def session_mapping(session: Session, running: Running | None) -> dict[str, Any]
     """The session as every page shows it."""
     return {
         **asdict(session),
+        "fits": [{**asdict(fit), "changed": session.changed_since(fit)} for fit in session.fits],
         "running": None if running is None else asdict(running),
         "problem": problem_of(session.card),
         "raw": raw_of(session.card),

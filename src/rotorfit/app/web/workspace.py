@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from threading import RLock
 from typing import Any, Literal, TypeVar, get_args
@@ -58,6 +59,12 @@ class Range:
     role: Role
     start: float | None = None
     end: float | None = None
+
+    @property
+    def words(self) -> str:
+        """Such as `5 s to the end`."""
+        start, end = (None if end is None else f"{end:g} s" for end in (self.start, self.end))
+        return f"{start or 'start'} to {end or 'end'}" if start or end else "all"
 
 
 @dataclass(frozen=True)
@@ -134,6 +141,27 @@ class Session:
     next_log: int = 1
     next_fit: int = 1
     version: int = field(default=VERSION)
+
+    @property
+    def marked(self) -> tuple[str, ...]:
+        """The ranges of the logs in words."""
+        return tuple(
+            f"{'training' if part.role == 'train' else 'validation'}: {part.words} of {upload.name}"
+            for upload in self.uploads
+            for part in upload.ranges
+        )
+
+    @property
+    def card_sha256(self) -> str:
+        """By which a text is known again that was changed and changed back."""
+        return sha256(self.card.encode("utf-8", "replace")).hexdigest()
+
+    def changed_since(self, fit: FitEntry) -> list[str]:
+        """What is no longer as a fit had it: card, ranges; not known of comparisons and of fits by earlier studios."""
+        if "card_sha256" not in fit.settings:
+            return []
+        pairs = {"card": (fit.settings["card_sha256"], self.card_sha256), "ranges": (fit.logs, self.marked)}
+        return [name for name, (then, now) in pairs.items() if then != now]
 
 
 Entry = TypeVar("Entry", Upload, FitEntry)

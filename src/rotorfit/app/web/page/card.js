@@ -16,7 +16,7 @@ export function cardPanel(place, studio) {
   const table = h("div", {className: "card-table"}), limits = h("div", {className: "limits"}), problem = h("p", {className: "notice error", hidden: true});
   const text = h("textarea", {spellcheck: false, rows: 22, "aria-label": "The card as TOML", oninput: () => typed()});
   const names = h("datalist", {id: "card-columns"});
-  const flight = h("div", {className: "flight"}), findings = h("div", {className: "found"}), about = h("p", {className: "muted"});
+  const flight = h("div", {className: "flight"}), findings = h("div", {className: "found"}), about = h("p", {className: "muted"}), revision = h("span", {className: "muted"});
   const top = h("div", {className: "bar"}, labelled("Seen on", log, "field inline"), labelled("Start anew from", start, "field inline"),
     h("a", {className: "button", href: "/api/card.toml", download: "card.toml"}, "Download card"));
   fill(place, h("h1", {id: "card-title"}, "Card"),
@@ -24,7 +24,7 @@ export function cardPanel(place, studio) {
     top, problem,
     h("div", {className: "split"},
       h("div", {}, h("div", {className: "panel"}, table, h("h2", {}, "Limits of the vehicle"), limits, names),
-        h("details", {className: "panel", open: true}, h("summary", {}, h("h2", {}, "As text (TOML)")), text)),
+        h("details", {className: "panel", open: true}, h("summary", {}, h("h2", {}, "As text (TOML)"), revision), text)),
       h("div", {className: "sticky"}, h("div", {className: "panel"}, h("h2", {}, "What it makes of the log"), about, flight), h("div", {className: "panel"}, h("h2", {}, "Findings"), findings))),
     h("p", {className: "next"}, h("a", {className: "button primary", href: "#ranges"}, "Next: ranges")));
   let drawnCard = -1, drawnText = null, drawnLogs = "", seenOn = "", columnsOf = null;
@@ -216,6 +216,7 @@ export function cardPanel(place, studio) {
     }
     if (typedOn === null && drawnText !== session.card) {
       drawnText = session.card;
+      revision.textContent = ` card ${session.card_revision}`;
       if (text.value !== session.card) text.value = session.card;
     }
     if (drawnCard !== session.card_revision && !halfTyped) {

@@ -2,7 +2,7 @@
 
 import {get} from "./api.js";
 import {fill, h, labelled, options, wide} from "./dom.js";
-import {title} from "./fit.js";
+import {changed, madeOf, title} from "./fit.js";
 
 const HORIZONS = [["0.5", "0.5 s"], ["1", "1 s"], ["2", "2 s"], ["5", "5 s"]];
 
@@ -82,7 +82,7 @@ export function comparePanel(place, studio) {
     for (const one of fresh) chosen.add(one.id);
     fill(boxes, h("legend", {}, "Models"), models.map(one => {
       const box = h("input", {type: "checkbox", id: `model-${one.id}`, value: one.id, checked: chosen.has(one.id)});
-      return h("label", {className: "check", for: box.id}, box, title(one), h("span", {className: "muted"}, ` ${one.settings.method}, ${one.settings.structure.replaceAll("_", " ")}, ${one.settings.axes.join(" ")}`));
+      return h("label", {className: "check", for: box.id}, box, title(one), h("span", {className: "muted"}, ` ${madeOf(one)}`), one.changed.length ? h("span", {className: "changed"}, ` ${changed(one)}`) : null);
     }), models.length ? null : h("p", {className: "muted"}, "None yet."));
     if (!last) { fill(result); return; }
     if (last.status === "done" && (!shown || shown.id !== last.id)) { shown = last; load(last); }

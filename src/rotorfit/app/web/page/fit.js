@@ -4,6 +4,8 @@ import {get} from "./api.js";
 import {fill, h, labelled, options} from "./dom.js";
 import {resultView} from "./result.js";
 
+const MOST_MARKED = 4; // ranges that stand on a fit's card; the others are in its title
+
 export function fitPanel(place, studio) {
   const {constants} = studio;
   const method = options(h("select", {}), Object.entries(constants.methods), "ml");
@@ -11,7 +13,7 @@ export function fitPanel(place, studio) {
   const axes = constants.axes.map(axis => h("input", {type: "checkbox", id: `axis-${axis}`, value: axis, checked: true}));
   const uncertainty = h("input", {type: "checkbox", id: "uncertainty"});
   const start = h("button", {type: "submit", className: "primary"}, "Fit");
-  const lack = h("p", {className: "muted"}), marked = h("div", {}), progress = h("div", {className: "progress", hidden: true}), list = h("ul", {className: "cards fits"}), result = h("div", {id: "result"});
+  const lack = h("p", {className: "muted"}), marked = h("div", {}), progress = h("div", {className: "progress", hidden: true}), list = h("ul", {className: "cards fits"}), stale = h("p", {className: "notice warning", hidden: true}), result = h("div", {id: "result"});
   const form = h("form", {className: "panel", onsubmit: event => {
     event.preventDefault();
     studio.change("POST", "/api/fits", {method: method.value, structure: structure.value, axes: axes.filter(one => one.checked).map(one => one.value), uncertainty: uncertainty.checked})
@@ -21,7 +23,7 @@ export function fitPanel(place, studio) {
       h("fieldset", {}, h("legend", {}, "Axes"), axes.map(one => h("label", {className: "check", for: one.id}, one, one.value))),
       h("label", {className: "check", for: "uncertainty"}, uncertainty, "accuracy table in the report (slower)")),
     marked, h("div", {className: "bar"}, start, lack), progress);
-  fill(place, h("h1", {id: "fit-title"}, "Fit"), form, list, result);
+  fill(place, h("h1", {id: "fit-title"}, "Fit"), form, list, stale, result);
   let shown = null, drawn = null;
 
   function ranges(session) {
@@ -53,7 +55,9 @@ export function fitPanel(place, studio) {
   function drawList(fits) {
     fill(list, [...fits].reverse().map(fit => h("li", {className: `${fit.status} ${fit.id === shown ? "chosen" : ""}`, "data-fit": fit.id},
       h("button", {type: "button", className: "title", "aria-pressed": String(fit.id === shown), onclick: () => { studio.chosen.write("fit", fit.id); studio.draw(); }}, title(fit)),
-      h("span", {className: "muted"}, `${fit.settings.method} · ${fit.settings.structure.replaceAll("_", " ")} · ${fit.settings.axes.join(" ")}`),
+      h("span", {className: "muted"}, madeOf(fit)),
+      h("span", {className: "muted", title: fit.logs.join("\n")}, `${fit.logs.slice(0, MOST_MARKED).join("; ")}${fit.logs.length > MOST_MARKED ? "; …" : ""}`),
+      fit.changed.length ? h("span", {className: "changed"}, changed(fit)) : null,
       h("span", {className: `outcome ${fit.status}`}, fit.status === "running" ? "running" : fit.text),
       fit.status === "running" ? null : h("button", {type: "button", className: "close", "aria-label": `Remove ${title(fit)}`, onclick: () => studio.change("DELETE", `/api/fits/${fit.id}`)}, "×"))));
   }
@@ -78,6 +82,8 @@ export function fitPanel(place, studio) {
       const before = `${shown}/${result.dataset.status}`;
       shown = fit ? fit.id : null;
       drawList(fits);
+      stale.hidden = !fit?.changed.length;
+      stale.textContent = fit ? `${title(fit)}: ${changed(fit)}. Fit again for what the page has now.` : "";
       if (`${shown}/${fit ? fit.status : ""}` !== before) {
         result.dataset.status = fit ? fit.status : "";
         if (fit && fit.status === "done") drawResult(fit);
@@ -87,5 +93,12 @@ export function fitPanel(place, studio) {
   }
   return {draw};
 }
+
+export function madeOf(fit) { // fits of an earlier studio do not know the revision of their card
+  const {method, structure, axes, card_revision: card} = fit.settings;
+  return [method, structure.replaceAll("_", " "), axes.join(" "), ...(card === undefined ? [] : [`card ${card}`])].join(" · ");
+}
+
+export function changed(fit) { return `${fit.changed.join(" and ")} changed since`; }
 
 export function title(fit) { return fit.settings.kind === "compare" ? `Comparison ${fit.id}` : `Fit ${fit.id}`; }
