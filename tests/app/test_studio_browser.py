@@ -133,6 +133,7 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
 
     step(page, "Ranges")
     block = page.locator("#ranges article").first
+    expect(block).to_contain_text("x velocity [m/s], left; command [share of the tilt limit], right")
     plot = block.locator(".u-over")
     box = plot.bounding_box()
     assert box is not None

@@ -43,7 +43,7 @@ def test_a_simulated_vehicle_is_followed_and_becomes_a_log(studio: Studio, page:
     assert events[-2] == "data: over"
     said = session_of(page)["live"]["said"]
     assert any("the simulated pilot" in line for line in said)
-    assert any("ended: Ctrl-C" in line for line in said)
+    assert any("ended on this page" in line for line in said)
     assert [log["name"] for log in session_of(page)["uploads"]] == ["live-1.mcap"]
 
 

@@ -15,12 +15,15 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from flights import CARD
 from models import model_of
 from rotorfit.app.loopback.gate import SANDBOX
 from rotorfit.app.web.card_lines import card_from_text
 from rotorfit.app.web.routes import Studio
+from rotorfit.app.web.wire import command_unit
 from rotorfit.app.web.workspace import Workspace, WorkspaceError
 from rotorfit.app.workflows import fit_logs
+from rotorfit.core.card import Channel
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.frames import AXES, heading_from_world
 from rotorfit.dynamics.kinematics import local_polynomial
@@ -162,6 +165,13 @@ def test_a_turned_sign_turns_the_command_of_the_plot(page: TestClient) -> None:
     assert page.put("/api/card", json={"edits": [edit], "seen": seen}).status_code == 200
 
     np.testing.assert_allclose(series(page.get(f"/api/logs/{log}/motion?axis=x"))[1][:, 0], -before)
+
+
+@pytest.mark.parametrize(("scale", "words"), [(1, "as sent"), (-1, "as sent, turned"), (0.01, "as sent, times 0.01")])
+def test_a_command_of_no_said_meaning_is_as_sent_but_for_its_scale(scale: float, words: str) -> None:
+    card = replace(CARD, command={**CARD.command, "x": Channel("cmd", scale=scale)})
+
+    assert command_unit(card, "x") == words
 
 
 def test_a_card_that_is_wrong_is_kept_as_typed_and_said_in_one_line(page: TestClient) -> None:

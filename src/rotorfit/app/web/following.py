@@ -120,7 +120,7 @@ class Follower:
                 if message.get("type") in ("state", "alarm"):
                     run.feed.add(message)
                 elif line.strip() and not line.startswith("{"):
-                    run.said.append(line.strip())
+                    run.said.append(line.strip().replace("ended: Ctrl-C", "ended on this page"))  # by `stop`
             process.wait()
             run.feed.over = True
             with suppress(OSError):

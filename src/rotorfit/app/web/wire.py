@@ -145,7 +145,10 @@ def command_unit(card: Card, axis: str) -> str:
     if meaning.limit:
         return f"share of the {meaning.limit.replace('_', ' ')} limit"
     units = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
-    return units[meaning.asked] if meaning.asked else "as sent"
+    if meaning.asked:
+        return units[meaning.asked]
+    scale = card.command[axis].scale if axis in card.command else 1.0
+    return {1.0: "as sent", -1.0: "as sent, turned"}.get(scale, f"as sent, times {scale:g}")
 
 
 def result_mapping(evidence: Evidence) -> dict[str, Any]:

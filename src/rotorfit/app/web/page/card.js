@@ -1,7 +1,7 @@
 // Step 2: which column is what, with its sign and unit; and at once what the flight looks like then.
 
 import {get} from "./api.js";
-import {fill, findingList, h, labelled, later, notice, options, seconds} from "./dom.js";
+import {fill, findingList, h, labelled, later, motionUnits, notice, options, seconds} from "./dom.js";
 import {legendOf, Together, WindowPlot} from "./plot.js";
 
 const LINES = [{name: "command", role: "command", scale: "command", stepped: true}, {name: "velocity", role: "measured"}];
@@ -187,7 +187,7 @@ export function cardPanel(place, studio) {
         path: `/api/logs/${one.id}/motion?axis=${axis}`, together, height: 150, label: `Command and velocity ${axis}`,
         lines: LINES, legend: false,
       }));
-      return h("figure", {}, h("figcaption", {}, h("span", {}, h("strong", {}, axis), h("span", {className: "muted"}, ` velocity [${axis === "yaw" ? "rad/s" : "m/s"}], left; command [${found.commands_in[axis]}], right`)), " ", h("span", {className: "told", "data-axis": axis})), canvas);
+      return h("figure", {}, h("figcaption", {}, h("span", {}, h("strong", {}, axis), h("span", {className: "muted"}, motionUnits(axis, found.commands_in))), " ", h("span", {className: "told", "data-axis": axis})), canvas);
     });
     fill(flight, h("div", {className: "bar"}, together.tools(), legendOf(LINES)), h("div", {className: "motions"}, figures),
       found.notes.length ? h("details", {}, h("summary", {}, `${found.notes.length} repairs`), h("ul", {}, found.notes.map(note => h("li", {}, note)))) : null);

@@ -22,8 +22,8 @@ export function comparePanel(place, studio) {
     if (!found) { fill(result); return; }
     const rows = found.rows.filter(row => row.horizon === Number(horizon.value)), stretches = [...new Set(rows.map(stretch))];
     const cells = (row, what) => {
-      const best = Math.min(...row[what].filter(one => one !== null));
-      return row[what].map((one, i) => h("td", {className: `number ${one === best ? "strong" : ""}`}, one === null ? "–" : (shownAs(row.axis).factor * one).toPrecision(3), row.fitted[i] ? h("abbr", {title: "fitted to part of this stretch: proves nothing"}, " *") : null));
+      const told = one => one === null ? "–" : (shownAs(row.axis).factor * one).toPrecision(3), best = told(Math.min(...row[what].filter(one => one !== null)));
+      return row[what].map((one, i) => h("td", {className: `number ${told(one) === best ? "strong" : ""}`}, told(one), row.fitted[i] ? h("abbr", {title: "fitted to part of this stretch: proves nothing"}, " *") : null));
     };
     const heads = what => found.columns.map(name => h("th", {className: "number", title: what}, name)), across = 2 * found.columns.length + 2;
     fill(result, h("article", {className: "panel"}, h("div", {className: "bar"}, h("h2", {}, title(shown)), labelled("Ahead", horizon, "field inline")),

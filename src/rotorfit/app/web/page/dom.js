@@ -63,6 +63,8 @@ export function bytes(count) {
 
 export function whole(count) { return Math.round(count).toLocaleString("en").replaceAll(",", "\u202f"); }
 
+export function motionUnits(axis, commands) { return ` velocity [${axis === "yaw" ? "rad/s" : "m/s"}], left; command [${commands[axis]}], right`; }
+
 export function seconds(value) { return value === null || value === undefined ? "" : `${Number(value.toFixed(2))}`; }
 
 export function findingList(findings, empty) {

@@ -87,14 +87,14 @@ export function logsPanel(place, studio) {
 
   function streams(log, found) {
     const together = new Together(), plots = h("div", {className: "stack"});
-    const columns = found.tables.flatMap(table => table.columns.map(column => column.source));
+    const clocks = new Map(found.tables.flatMap(table => table.columns.map(column => [column.source, table.clock]))), columns = [...clocks.keys()];
     const add = source => {
       if (!columns.includes(source)) { notice("warning", `There is no column ${source}; choose one of the list.`); return; }
       if (plots.children.length >= MOST_PLOTS) plots.lastChild.remove();
       const canvas = h("div", {}), state = h("span", {className: "muted"});
       plots.append(h("figure", {}, h("figcaption", {}, h("strong", {}, source), " ", state), canvas));
       new WindowPlot(canvas, {
-        path: `/api/logs/${log.id}/column?source=${encodeURIComponent(source)}`, lines: [{name: "value", role: "model"}], together, height: 150, label: source,
+        path: `/api/logs/${log.id}/column?source=${encodeURIComponent(source)}`, lines: [{name: "value", role: "model"}], together, height: 150, label: source, along: clocks.get(source) === null ? "row" : "t [s]",
         onloaded: data => { state.textContent = told(data); studio.draft(); }, onerror: error => { state.textContent = error.message; },
       });
     };

@@ -19,8 +19,8 @@ function axes(right = null) {
 
 const number = value => value === null || value === undefined ? "–" : Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3) ? value.toExponential(2) : value.toFixed(3);
 
-function seriesOf(lines, exact) {
-  return [{label: "t", value: (_, v) => v === null || v === undefined ? "–" : `${v.toFixed(2)} s`},
+function seriesOf(lines, exact, along = "t [s]") {
+  return [{label: along, value: (_, v) => v === null || v === undefined ? "–" : v.toFixed(2)},
     ...lines.map(line => ({
       label: line.name, scale: line.scale || "y", stroke: colour(line.role), width: line.role === "measured" ? 1.8 : 1.4,
       dash: DASH[line.role], points: {show: false}, value: (_, v) => number(v),
@@ -81,10 +81,10 @@ export class Together { // plots that share one window of time
 const KEYS = {ArrowLeft: "left", ArrowRight: "right", "+": "in", "=": "in", "-": "out", "0": "all"};
 
 export class WindowPlot extends Sized {
-  // lines: [{name, role, scale, stepped}]; bands: () => [{role, start, end}]; onmark: (from, to) => true where it took the drag
-  constructor(place, {path, lines, together = new Together(), height = 190, label, bands = null, onmark = null, onloaded = null, onerror = null, legend = true}) {
+  // lines: [{name, role, scale, stepped}]; along: what x is; bands: () => [{role, start, end}]; onmark: (from, to) => true where it took the drag
+  constructor(place, {path, lines, together = new Together(), height = 190, label, bands = null, onmark = null, onloaded = null, onerror = null, legend = true, along}) {
     super(place);
-    Object.assign(this, {path, lines, together, height, bands, onmark, onloaded, onerror, legend, data: null});
+    Object.assign(this, {path, lines, along, together, height, bands, onmark, onloaded, onerror, legend, data: null});
     place.classList.add("plot");
     place.tabIndex = 0;
     place.setAttribute("role", "img");
@@ -147,7 +147,7 @@ export class WindowPlot extends Sized {
       width: this.place.clientWidth, height: this.height, padding: [8, right ? 2 : 12, 0, 0],
       scales: {x: {time: false}, y: right ? {range: even} : {}, ...(right ? {[right.scale]: {range: even}} : {})},
       cursor: {y: false, drag: {x: true, y: false, setScale: false}, points: {size: 5}},
-      legend: {show: this.legend}, series: seriesOf(this.lines, () => this.data.exact), axes: axes(right && right.scale),
+      legend: {show: this.legend}, series: seriesOf(this.lines, () => this.data.exact, this.along), axes: axes(right && right.scale),
       hooks: {
         drawClear: [chart => this.shade(chart)],
         setSelect: [chart => {

@@ -1,7 +1,7 @@
 // Step 3: which stretches train the model, and which prove it.
 
 import {get} from "./api.js";
-import {fill, h, labelled, options, seconds} from "./dom.js";
+import {fill, h, labelled, motionUnits, options, seconds} from "./dom.js";
 import {told} from "./logs.js";
 import {Together, WindowPlot} from "./plot.js";
 
@@ -32,7 +32,7 @@ export function rangesPanel(place, studio) {
 }
 
 function rangeBlock(first, studio) {
-  let log = first, span = null, drawn = null, plot = null;
+  let log = first, span = null, commands = {}, drawn = null, plot = null;
   const together = new Together(), list = h("ul", {className: "ranges"}), canvas = h("div", {}), state = h("span", {className: "muted"});
   const what = h("select", {onchange: () => show()}), drag = h("select", {});
   options(drag, [["train", "marks training"], ["validate", "marks validation"], ["zoom", "zooms"]], first.ranges.length && first.ranges[0].role === "validate" ? "validate" : "train");
@@ -52,6 +52,7 @@ function rangeBlock(first, studio) {
     try {
       const flight = await get(`/api/logs/${log.id}/flight`);
       span = flight.span;
+      commands = flight.commands_in;
       options(what, flight.axes.map(axis => [axis, axis]), flight.axes[0]);
       tools.hidden = false;
       show();
@@ -63,7 +64,7 @@ function rangeBlock(first, studio) {
     if (plot) plot.dispose();
     fill(canvas);
     const inner = h("div", {});
-    canvas.append(inner);
+    canvas.append(h("p", {className: "muted"}, h("strong", {}, what.value), motionUnits(what.value, commands)), inner);
     plot = new WindowPlot(inner, {
       path: `/api/logs/${log.id}/motion?axis=${what.value}`, together, height: 200, label: `Command and velocity ${what.value} of ${log.name}`,
       lines: [{name: "command", role: "command", scale: "command", stepped: true}, {name: "velocity", role: "measured"}],
