@@ -83,7 +83,7 @@ export function fitPanel(place, studio) {
       shown = fit ? fit.id : null;
       drawList(fits);
       stale.hidden = !fit?.changed.length;
-      stale.textContent = fit ? `${title(fit)}: ${changed(fit)}. Fit again for what the page has now.` : "";
+      stale.textContent = fit ? `${title(fit)}: ${changed(fit)}. Fit again to use what is set now.` : "";
       if (`${shown}/${fit ? fit.status : ""}` !== before) {
         result.dataset.status = fit ? fit.status : "";
         if (fit && fit.status === "done") drawResult(fit);
