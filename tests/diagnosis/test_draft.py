@@ -139,6 +139,69 @@ def test_quaternions_of_a_csv_are_found(tmp_path: Path) -> None:
     assert [card.pose[f"q{part}"].source for part in "wxyz"] == ["qw", "qx", "qy", "qz"]
 
 
+def test_a_draft_takes_a_pose_from_one_sensor_and_names_what_else_is_there(tmp_path: Path) -> None:
+    names = {axis: f"pos_{axis}" for axis in "xyz"} | {"yaw": "yaw_mocap"}
+    columns = dict(csv_log(**names).tables["flight"].columns)
+    columns |= {"z": columns["pos_z"] + 0.1, "yaw": columns["yaw_mocap"] + 0.1}
+
+    text = draft_card(log_of(flight=columns))
+
+    card = loaded(text, tmp_path)
+    assert {axis: card.pose[axis].source for axis in names} == names
+    assert "# EDIT if one of these is right: z, yaw" in text
+    assert "named unlike the others" not in text
+
+
+def test_a_draft_marks_an_axis_that_only_another_sensor_has(tmp_path: Path) -> None:
+    text = draft_card(csv_log(x="x_mocap", y="y_mocap", yaw="yaw_mocap"))
+
+    assert loaded(text, tmp_path).pose["x"].source == "x_mocap"
+    assert 'z = "z"  # EDIT: named unlike the others, and perhaps of another sensor' in text
+
+
+@pytest.mark.parametrize("names", [("pos_e", "pos_n", "pos_u"), ("pe", "pn", "pu"), ("east", "north", "up")])
+def test_a_draft_knows_east_north_up(names: tuple, tmp_path: Path) -> None:
+    text = draft_card(csv_log(**dict(zip("xyz", names, strict=True))))
+
+    card = loaded(text, tmp_path)
+    assert [card.pose[axis].source for axis in "xyz"] == list(names)
+    assert card.frame == "ENU"
+
+
+@pytest.mark.parametrize("names", [("pos_n", "pos_e", "pos_d"), ("pn", "pe", "pd"), ("north", "east", "down")])
+def test_a_draft_knows_north_east_down(names: tuple, tmp_path: Path) -> None:
+    text = draft_card(csv_log(**dict(zip("xyz", names, strict=True))))
+
+    card = loaded(text, tmp_path)
+    assert [card.pose[axis].source for axis in "xyz"] == list(names)
+    assert 'frame = "NED"  # of the pose, by its names' in text
+
+
+@pytest.mark.parametrize("names", [("q0", "q1", "q2", "q3"), ("q1", "q2", "q3", "q4"), ("q_0", "q_1", "q_2", "q_3")])
+def test_a_draft_knows_numbered_parts_of_a_quaternion(names: tuple, tmp_path: Path) -> None:
+    columns = dict(csv_log(yaw="").tables["flight"].columns)
+    t = columns["time"]
+    columns |= dict(zip(names, (np.cos(t / 9), 0 * t, 0 * t, np.sin(t / 9)), strict=True))
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert [card.pose[f"q{part}"].source for part in "wxyz"] == list(names)
+
+
+def test_the_order_of_numbered_parts_is_told_as_guessed_unless_the_motion_bears_it_out() -> None:
+    true = turning()
+    half = true["yaw"] / 2
+    pose = true | {"q0": np.cos(half), "q1": 0 * T, "q2": 0 * T, "q3": np.sin(half)}
+    del pose["yaw"]
+    commands = {f"cmd_{axis}": COMMAND[axis] for axis in "xyz"}
+
+    guessed = draft_card(log_of(flight={"time": T, **pose, **commands}))
+    told = draft_card(log_of(flight={"time": T, **pose, **commands, "cmd_yaw": COMMAND["yaw"]}))
+
+    assert "# w, x, y, z; EDIT: this order is a guess" in guessed
+    assert "this order is a guess" not in told
+
+
 def test_references_of_a_position_are_not_taken_for_commands() -> None:
     names = {f"cmd_{axis}": f"{axis}_ref" for axis in ("x", "y", "z")}
     text = draft_card(csv_log(**names, cmd_yaw=""))
@@ -150,7 +213,7 @@ def test_a_written_draft_says_what_it_lacks(tmp_path: Path) -> None:
     assert write_draft(csv_log(), tmp_path / "whole.toml") == ()
     log = csv_log(cmd_x="a", cmd_y="b", cmd_z="c", cmd_yaw="")
     assert write_draft(log, tmp_path / "poses.toml") == ("[command] x, y, z or yaw",)
-    assert write_draft(csv_log(z="up", yaw=""), tmp_path / "plane.toml") == ("[pose] z", "[pose] yaw or quaternion")
+    assert write_draft(csv_log(z="height", yaw=""), tmp_path / "plane.toml") == ("[pose] z", "[pose] yaw or quaternion")
 
 
 def test_a_draft_that_lacks_essentials_says_which_and_lists_the_columns(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ The names in a log suggest its commands and pose; the motion corrects axes, sign
 """
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -91,7 +92,10 @@ def found_in(log: Log, guess: bool = True) -> DraftContents:
         velocity = replace(velocity, channels=dm)
     of_velocity = "heading" if is_of_the_body(velocity) else "world"
     frame, remark = _pose_frame(log, velocity, pose)
-    return DraftContents(commands, pose, velocity, "heading", of_velocity, frame, remark, doubted=doubted)
+    said = dict.fromkeys(pose.strays, "EDIT: named unlike the others, and perhaps of another sensor")
+    if _is_whole(pose) and re.search(r"\d\]?$", str(pose.channels["qw"].source)):
+        said["qw"] = _ORDER_GUESSED
+    return DraftContents(commands, pose, velocity, "heading", of_velocity, frame, remark, said, doubted)
 
 
 def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: str = "") -> str:
@@ -117,6 +121,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         "",
         "[pose]",
         *(["# Motive has y up: the axes are permuted cyclically"] * is_of_motive(log, pose)),
+        *([f"# EDIT if one of these is right: {', '.join(map(visible, pose.others))}"] * bool(pose.others)),
         _line("time", pose.time),
         *(
             _line(axis, pose.channels.get(axis), found.remarks.get(axis, ""), _stated(log, pose.channels.get(axis)))
@@ -178,6 +183,8 @@ def _pose_frame(log: Log, velocity: Recognised, pose: Recognised) -> tuple[str, 
 def _window_lines(source: str, says: str) -> list[str]:
     return ["[[window]]  # commands count while this holds", f"when = {_quoted(source)}", *says.splitlines(), ""]
 
+
+_ORDER_GUESSED = "EDIT: this order is a guess, for numbers do not tell which is w"
 
 NO_COMMAND = "[command] x, y, z or yaw"
 """What a draft lacks that names no command: without one nothing can be fitted."""
@@ -269,6 +276,8 @@ def draft_card(log: Log, fresh: bool = False) -> str:
         found = replace(found, pose_remark=f"as z is above 0; {turned} are turned together: forward, right, down?")
     elif asked.height < 0 and found.pose_frame == "ENU":
         found = replace(found, pose_remark='EDIT: z is below 0; if it points down: "NED", and scale = -1 for y, z, yaw')
+    if turned_by_yaw(told) and found.remarks.get("qw") == _ORDER_GUESSED:
+        found = replace(found, remarks={**found.remarks, "qw": ""})
     moved, said = _by_motion(found.commands, told)
     found = _in_metres(log, replace(found, commands=moved, frame=told.frame or "heading"), asked.motion)
     sure = all(answer.axis for answer in told.of.values())

@@ -9,6 +9,7 @@ import numpy as np
 from rotorfit.core.card import LENGTH_UNITS, Channel
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
+from rotorfit.diagnosis.pose_names import NamedPose, headings_named, poses_named
 from rotorfit.files.logs.several import format_of
 from rotorfit.flights.columns import (
     clock_of,
@@ -53,27 +54,6 @@ _STICKS = {
     "yaw": "(?:rc_)?yv|rc_yaw|yaw_velocity",  # which alone may be measured
 }
 
-_PLACE = (
-    "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|lighthouse|state|estimate|odom|drone|"
-    "body|stabilizer|kalman_state(?!_p))_?)*"  # kalman.statePX is a velocity
-)
-
-_NED = {"x": "pn|north", "y": "pe|east", "z": "pd|down"}
-
-_POSE = {
-    axis: f"{_PLACE}{axis}|{axis}_?(?:pos|position|opt|mocap|est|u)|(?:position|pos)_{i}|{_NED[axis]}"
-    for i, axis in enumerate("xyz")
-}
-
-_HEADING = {"yaw": f"{_PLACE}(?:yaw|psi|heading)|(?:yaw|psi)_?(?:pos|opt|mocap|est)"}
-
-_HEADING |= {
-    f"q{part}": f"{_PLACE}(?:(?:orientation|rotation|quaternion|quat|q)_?{part}|q_{i}|q{i + 1})"
-    for i, part in enumerate("wxyz")
-}
-
-_POSE |= _HEADING
-
 _BODY_PART = re.compile(r"(.*)\.(position|quaternion|rotation)\.([wxyz])")
 
 _Y_UP = {"x": "z", "y": "x", "z": "y", "qw": "qw", "qx": "qz", "qy": "qx", "qz": "qy"}
@@ -116,11 +96,15 @@ class Recognised:
         channels: Quantity to channel.
         time: Its clock; None where none was found.
         table: Its table; None where nothing was recognised.
+        strays: Axes of a pose whose columns are named unlike the others, and may be of another sensor.
+        others: Columns of its table that may be a position or a heading, too; the first of each family of names.
     """
 
     channels: Mapping[str, Channel]
     time: Channel | None
     table: str | None = None
+    strays: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
 
 
 def commands_in(log: Log) -> Recognised:
@@ -146,13 +130,23 @@ def pose_in(log: Log) -> Recognised:
     body = _recognised(log, _body)
     if body.channels:
         return z_up(body) if is_of_motive(log, body) else body
-    pose = _recognised(log, _pose)
+    pose = _with_unit_of_yaw(log, _named_pose(log))
     if not pose.channels.keys() & {"x", "y", "z"} or pose.channels.keys() & {"yaw", "qw"} or len(log.tables) == 1:
         return pose
-    heading = _recognised(log, _attitude)
+    heading = _with_unit_of_yaw(log, _recognised(log, _attitude))
     if not pose.channels:
         return heading  # the only pose information where only velocities are logged
     return replace(pose, channels={**pose.channels, **heading.channels})
+
+
+def _named_pose(log: Log) -> Recognised:
+    """The pose of one table, by the names of its columns."""
+    named = {name: said for name, table in log.tables.items() if (said := _pose(log, table))}
+    pose = _recognised(log, lambda _, table: dict(named[table.name].names) if table.name in named else {})
+    if pose.table is None:
+        return pose
+    table, said = log.tables[pose.table], named[pose.table]
+    return replace(pose, strays=said.strays, others=tuple(source_of(log, table, name) for name in said.unused))
 
 
 def is_of_motive(log: Log, pose: Recognised) -> bool:
@@ -225,7 +219,7 @@ def windows_in(log: Log) -> list[tuple[str, str]]:
 def is_down(pose: Recognised) -> bool:
     """Whether the name of the vertical position says that it points down."""
     return "z" in pose.channels and bool(
-        re.search(r"(?:^|_)(?:pd|down)$", name_without_unit(str(pose.channels["z"].source)))
+        re.search(r"(?:^|_)(?:pd|pos(?:ition)?_d|down)$", name_without_unit(str(pose.channels["z"].source)))
     )
 
 
@@ -267,12 +261,19 @@ def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> R
     channels = {
         what: Channel(source_of(log, table, name), unit=_unit(log, table, name)) for what, name in names.items()
     }
-    if time is not None and "yaw" in channels and names_in in (_pose, _attitude) and channels["yaw"].unit is None:
-        stamps, yaw = stamps_of(log, time), column(log, channels["yaw"])
-        clean = increasing(stamps)[: len(yaw)] & np.isfinite(yaw[: len(stamps)])
-        if degrees_for_radians(stamps[: len(yaw)][clean], yaw[: len(stamps)][clean]):
-            channels["yaw"] = replace(channels["yaw"], unit="deg")
     return Recognised(channels, time, table.name)
+
+
+def _with_unit_of_yaw(log: Log, pose: Recognised) -> Recognised:
+    """The pose with a yaw in degrees where its values are none in radians."""
+    yaw = pose.channels.get("yaw")
+    if pose.time is None or yaw is None or yaw.unit is not None:
+        return pose
+    stamps, values = stamps_of(log, pose.time), column(log, yaw)
+    clean = increasing(stamps)[: len(values)] & np.isfinite(values[: len(stamps)])
+    if not degrees_for_radians(stamps[: len(values)][clean], values[: len(stamps)][clean]):
+        return pose
+    return replace(pose, channels={**pose.channels, "yaw": replace(yaw, unit="deg")})
 
 
 def _unit(log: Log, table: Table, name: str) -> str | None:
@@ -298,7 +299,7 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
         families = families[-1:]  # its DesRoll, DesPitch, DesYaw are setpoints of the inner angle loops
     if _asked(log, table):
         families.append(_named(table, _SETPOINT))
-    if (len(log.tables) > 1 or _asked(log, table)) and not _named(table, _POSE).keys() & {"x", "y", "z"}:
+    if (len(log.tables) > 1 or _asked(log, table)) and not poses_named(table):
         families.append(_named(table, twist))
     return max(families, key=len)
 
@@ -330,17 +331,18 @@ def _body(log: Log, table: Table) -> dict[str, str]:
     return found
 
 
-def _pose(log: Log, table: Table) -> dict[str, str]:
-    """Quantity to column of a pose; empty for a topic that is named as a command or a setpoint."""
-    found = {} if _asked(log, table) else _named(table, _POSE)
-    return found if len(log.tables) == 1 or found.keys() & {"x", "y", "z"} else {}
+def _pose(log: Log, table: Table) -> NamedPose | None:
+    """The likeliest pose of a table; None for a topic that is named as a command or a setpoint."""
+    found = [] if _asked(log, table) else poses_named(table)
+    if found or len(log.tables) > 1 or not (headings := headings_named(table)):
+        return next(iter(found), None)
+    return NamedPose(headings[0].names)
 
 
 def _attitude(log: Log, table: Table) -> dict[str, str]:
     """A heading alone, from a table that is no setpoint: the quaternion if it is complete, else yaw."""
-    found = {} if _asked(log, table) else _named(table, _HEADING)
-    whole = {name: found[name] for name in found if name != "yaw"}
-    return whole if len(whole) == 4 else {name: found[name] for name in ("yaw",) if name in found}
+    found = [] if _asked(log, table) else headings_named(table)
+    return dict(found[0].names) if found else {}
 
 
 def _is_twist_of(commands: Recognised, table: Table) -> bool:

@@ -1,0 +1,121 @@
+"""Poses in a table by the names of its columns: what is named alike was measured together."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+
+from rotorfit.core.log import Table
+from rotorfit.flights.columns import clocks, name_without_unit, series_of
+
+_WHERE = (
+    "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|lighthouse|state|estimate|odom|drone|"
+    "body|stabilizer|kalman_state(?!_p))_?)*"  # kalman.statePX is a velocity
+)
+
+_AT = f"{_WHERE}(?:position|pos|p)_?"
+
+_PLACES: tuple[Mapping[str, str], ...] = (
+    {axis: f"{_WHERE}({axis})|({axis})_?(?:pos|position|opt|mocap|est|u)" for axis in "xyz"},
+    {axis: f"(?:position|pos)_({i})" for i, axis in enumerate("xyz")},
+    {"x": f"{_AT}(e)|{_WHERE}(east)", "y": f"{_AT}(n)|{_WHERE}(north)", "z": f"{_AT}(u)|{_WHERE}(up)"},
+    {"x": f"{_AT}(n)|{_WHERE}(north)", "y": f"{_AT}(e)|{_WHERE}(east)", "z": f"{_AT}(d)|{_WHERE}(down)"},
+)
+
+_QUATERNION = "(?:orientation|rotation|quaternion|quat|q)_?"
+
+_HEADINGS: tuple[Mapping[str, str], ...] = (
+    {f"q{part}": f"{_WHERE}{_QUATERNION}({part})" for part in "wxyz"},
+    {f"q{part}": f"{_WHERE}{_QUATERNION}({i})" for i, part in enumerate("wxyz")},
+    {f"q{part}": f"{_WHERE}{_QUATERNION}({i})" for i, part in enumerate("wxyz", 1)},
+    *({"yaw": f"{_WHERE}({word})|({word})_?(?:pos|opt|mocap|est)"} for word in ("yaw", "psi", "heading")),
+)
+
+
+@dataclass(frozen=True)
+class Family:
+    """Columns of a table whose names differ in the axis alone.
+
+    Attributes:
+        stem: Their plain name with the axis left out.
+        names: Quantity to column.
+    """
+
+    stem: tuple[str, str]
+    names: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class NamedPose:
+    """A pose by the names of its columns.
+
+    Attributes:
+        names: Quantity to column.
+        strays: Which of x, y, z have a name of another kind, and may be of another sensor.
+        unused: Names that may be a position or a heading, too; the first of each family.
+    """
+
+    names: Mapping[str, str]
+    strays: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
+
+
+def poses_named(table: Table) -> list[NamedPose]:
+    """Poses in a table, each from the family with the most of x, y and z; the likeliest first."""
+    places, headings = _families(table, _PLACES), headings_named(table)
+    fullest = [place for place in places if len(place.names) == len(places[0].names)]
+    return [_pose(place, places, headings) for place in fullest]
+
+
+def headings_named(table: Table) -> list[Family]:
+    """Headings in a table: quaternions before yaws."""
+    return [family for family in _families(table, _HEADINGS) if "yaw" in family.names or len(family.names) == 4]
+
+
+def _pose(place: Family, places: Sequence[Family], headings: Sequence[Family]) -> NamedPose:
+    """A family with the heading named most like it; axes that it lacks are of the next family that has them."""
+    names: dict[str, str] = {}
+    for family in (place, *places):
+        names |= {axis: name for axis, name in family.names.items() if axis not in names}
+    heading = min(headings, key=lambda one: _distance(one, place, places), default=None)
+    names |= heading.names if heading else {}
+    rest = [next(iter(family.names.values())) for family in (*places, *headings) if family not in (place, heading)]
+    unused = tuple(name for name in rest if name not in names.values())
+    return NamedPose(names, tuple(axis for axis in "xyz" if axis in names and axis not in place.names), unused)
+
+
+def _distance(heading: Family, place: Family, places: Sequence[Family]) -> tuple[int, bool]:
+    """How unlike a heading is to a position: by the words that they share, and whether it is named like another."""
+    elsewhere = heading.stem in {other.stem for other in places if other is not place}
+    return -_shared(heading.stem, place.stem), elsewhere
+
+
+def _shared(one: tuple[str, str], other: tuple[str, str]) -> int:
+    """Number of words at the start and at the end that two stems share."""
+    starts = zip(_words(one[0]), _words(other[0]), strict=False)
+    ends = zip(reversed(_words(one[1])), reversed(_words(other[1])), strict=False)
+    return sum(len(list(takewhile(lambda pair: pair[0] == pair[1], pairs))) for pairs in (starts, ends))
+
+
+def _words(text: str) -> list[str]:
+    return list(filter(None, text.split("_")))
+
+
+def _families(table: Table, schemes: Sequence[Mapping[str, str]]) -> list[Family]:
+    """Families of names: the fullest first, then those as long as a clock, then the shortest."""
+    series, lengths = series_of(table), set(clocks(table).values())
+    found: dict[tuple[int, tuple[str, str]], dict[str, str]] = {}
+    for name in series:
+        plain = name_without_unit(name)
+        for scheme, patterns in enumerate(schemes):
+            for quantity, pattern in patterns.items():
+                if match := re.fullmatch(pattern, plain):
+                    start, end = match.span(match.lastindex or 0)
+                    found.setdefault((scheme, (plain[:start], plain[end:])), {}).setdefault(quantity, name)
+
+    def rank(family: Family) -> tuple[int, bool, int]:
+        sizes = (series[name] for name in family.names.values())
+        untimed = any(not lengths & {size - 1, size, size + 1} for size in sizes)
+        return -len(family.names), untimed, sum(map(len, family.names.values()))
+
+    return sorted((Family(stem, names) for (_, stem), names in found.items()), key=rank)
