@@ -738,6 +738,29 @@ def test_a_draft_finds_degrees_of_a_heading_that_stays_near_zero(tmp_path: Path)
     assert "too much for any vehicle" in text
 
 
+@pytest.mark.parametrize("heading", [0.5, 90.0])
+def test_a_draft_takes_a_heading_that_nothing_turns_as_held_in_degrees(heading: float, tmp_path: Path) -> None:
+    """In radians the commands would act along the world, of a vehicle that swings by itself."""
+    command, yaw = COMMAND | {"yaw": 0 * T}, heading + np.sin(0.5 * T)
+    velocity = {axis: followed(series) for axis, series in command.items()}
+    across = world_from_heading(np.stack([velocity["x"], velocity["y"]], axis=1), np.radians(yaw))
+    place = np.cumsum(across, axis=0) * 0.05
+    pose = {"x": place[:, 0], "y": place[:, 1], "z": 2 + np.cumsum(velocity["z"]) * 0.05, "yaw": yaw}
+
+    card, text = drafted(pose, command, tmp_path)
+
+    assert (card.pose["yaw"].unit, card.command_frame) == ("deg", "heading")
+    assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
+        axis: (f"cmd_{axis}", 1) for axis in COMMAND
+    }
+    assert 'EDIT: degrees, or radians and frame = "world" in [command]' in text
+    log = log_of(flight={"time": T, **pose, **{f"cmd_{axis}": series for axis, series in command.items()}})
+    for frame in ("heading", "world"):
+        own = text.replace(', unit = "deg"', "").replace('frame = "heading"', f'frame = "{frame}"')
+        told = findings_of_flight(log, flight_from_log(log, loaded(own, tmp_path)))
+        assert any('unit = "deg"' in one.remedy for one in told)
+
+
 def test_a_draft_names_the_unit_of_a_position_that_no_vehicle_flies_in_metres(tmp_path: Path) -> None:
     true = raised(1.0)
     for unit, scale in (("cm", 100), ("mm", 1000)):

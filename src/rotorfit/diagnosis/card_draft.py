@@ -20,7 +20,14 @@ from rotorfit.core.results import Motion
 from rotorfit.core.writing import check_folder, write_whole
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.command_response import BETTER, QUICKEST, SHARED, Answers, CommandResponse, answers_of
-from rotorfit.diagnosis.frame_checks import height_sign, other_orders, overturned, turned_by_yaw, upright_order
+from rotorfit.diagnosis.frame_checks import (
+    height_sign,
+    is_held_in_degrees,
+    other_orders,
+    overturned,
+    turned_by_yaw,
+    upright_order,
+)
 from rotorfit.diagnosis.pose_checks import degrees_turned, position_unit
 from rotorfit.diagnosis.recognition import (
     Recognised,
@@ -267,7 +274,8 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     if name:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
-    asked = _upright(log, _in_the_better_order(log, _in_degrees(log, _asked(log, found_in(log)))))
+    asked = _held_in_degrees(log, _in_degrees(log, _asked(log, found_in(log))))
+    asked = _upright(log, _in_the_better_order(log, asked))
     asked = _commanded(log, _better_read(log, _in_the_better_frame(log, asked)))
     found, told = asked.found, asked.answers
     if told is None:
@@ -340,6 +348,24 @@ def _in_degrees(log: Log, asked: _Asked) -> _Asked:
         return asked
     why = f"yaw is in degrees by the motion: in radians it turns with {rate:.2g} rad/s (RMS), too much for any vehicle"
     return _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
+
+
+def _held_in_degrees(log: Log, asked: _Asked) -> _Asked:
+    """The draft with a heading in degrees that was held, where in radians it would swing with no command to turn it.
+
+    In radians the commands are the world's, then, or do not move the vehicle as their names say.
+    """
+    yaw, told, motion = asked.found.pose.channels.get("yaw"), asked.answers, asked.motion
+    if yaw is None or yaw.unit or told is None or motion is None:
+        return asked
+    if turned_by_yaw(told) or not is_held_in_degrees(motion) or (told.frame != "world" and not _unlike(told)):
+        return asked
+    why = 'EDIT: degrees, or radians and frame = "world" in [command]: the motion does not tell the two apart'
+    other = _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
+    if other.answers is None or CLEARER * other.answers.left > told.left:
+        return asked
+    fewer = _unlike(told) - _unlike(other.answers)
+    return other if fewer > 0 or (fewer == 0 and told.frame == "world") else asked
 
 
 def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
@@ -432,6 +458,11 @@ def _commanded(log: Log, asked: _Asked) -> _Asked:
 def _odd(told: Answers) -> int:
     """Number of commands whose response contradicts their name."""
     return sum(1 for name, answer in told.of.items() if answer.axis and (answer.axis != name or answer.sign < 0))
+
+
+def _unlike(told: Answers) -> int:
+    """Number of commands whose response is not clearly as their name says."""
+    return sum(1 for name, answer in told.of.items() if answer.axis != name or answer.sign < 0)
 
 
 def _readings(found: DraftContents) -> Iterator[DraftContents]:

@@ -108,6 +108,8 @@ def frame_findings(recording: Recording) -> Iterator[Finding]:
         if best.left < BETTER * own.left and best.explained > LEAST_EXPLAINED and best.angle:
             yield _other_frame(card, own, best)
             return
+    if _swings_by_itself(recording):
+        yield _perhaps_held(motion)
     if own.explained > LEAST_EXPLAINED:
         yield from _turned(card, own, float(np.mean(part.yaw)), float(np.std(part.yaw)))
 
@@ -138,6 +140,11 @@ def _lean(log: Log, pose: Mapping[str, Channel]) -> float:
     axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), w**2 - x**2 - y**2 + z**2])
     mean = np.mean(axis / (w**2 + x**2 + y**2 + z**2), axis=1)
     return float(np.arctan2(np.hypot(*mean[:2]), mean[2])) if np.linalg.norm(mean) > 0.5 else np.pi / 2
+
+
+def is_held_in_degrees(motion: Motion) -> bool:
+    """Whether a heading taken in radians may be one in degrees that was held within a few: it makes no whole turn."""
+    return bool(np.ptp(np.unwrap(motion.yaw)) < 2 * np.pi)
 
 
 def turned_by_yaw(told: Answers) -> bool:
@@ -308,6 +315,29 @@ def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
         effect,
         f'write frame = "{"heading" if world else "world"}" in [command] of the card (now "{card.command_frame}")'
         + ("" if world else f', or give yaw in [pose] unit = "deg"{SAME_THING}'),
+    )
+
+
+def _swings_by_itself(recording: Recording) -> bool:
+    """Whether a heading in radians, by default, swings though nothing commands it and the commands are the world's."""
+    card, motion = recording.card, recording.motion
+    if "yaw" not in card.pose or card.pose["yaw"].unit or card.command_frame == "heading":
+        return False
+    commanded = np.ptp(recording.flight.command[:, AXES.index("yaw")]) > 0
+    return not commanded and float(np.std(motion.yaw)) > TURNING and is_held_in_degrees(motion)
+
+
+def _perhaps_held(motion: Motion) -> Finding:
+    swing = float(np.std(motion.yaw))
+    return Finding(
+        "unit_mistake",
+        "warning",
+        f"the heading swings by {np.degrees(swing):.0f} degrees (standard deviation) and nothing commands it; in deg "
+        f"it would be held within {swing:.2g}",
+        "if it is in deg, x and y are fitted along axes that are not the vehicle's: their coefficients are mixed or "
+        "exchanged",
+        'look at yaw in the log; if it is in degrees, give yaw in [pose] of the card unit = "deg" and write '
+        'frame = "heading" in [command], else unit = "rad"',
     )
 
 
