@@ -12,6 +12,7 @@ from test_survey import csv_log, loaded, log_of, message_log
 from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import heading_from_world, world_from_heading
+from rotorfit.core.log import Log
 from rotorfit.diagnosis import card_choice
 from rotorfit.diagnosis.card_draft import draft_card, write_draft
 from rotorfit.diagnosis.command_response import answers_of
@@ -430,6 +431,44 @@ def test_position_and_quaternion_of_motion_capture_are_of_one_body_and_a_rotatio
 
     assert '\nz = "drone.position.z"' in text
     assert '\nquaternion = "drone.quaternion"' in text
+
+
+def bodies_of(kind: str, **bodies: dict) -> Log:
+    """An export of motion capture with several bodies, beside the log of the commands."""
+    columns = {f"{body}.{part}": series for body, parts in bodies.items() for part, series in parts.items()}
+    take = replace(log_of("take.csv", take={"time": T, **columns}), format=kind)
+    return join_logs(
+        [log_of("own.csv", own={"time": T, **{f"cmd_{axis}": one for axis, one in COMMAND.items()}}), take]
+    )
+
+
+def body(true: dict, up: str = "z") -> dict:
+    half = true["yaw"] / 2
+    names = dict(zip("xyz", "zxy" if up == "y" else "xyz", strict=True))
+    turned = dict.fromkeys("wxyz", 0 * T) | {"w": np.cos(half), up: np.sin(half)}
+    places = {f"position.{name}": true[axis] for axis, name in names.items()}
+    return places | {f"rotation.{part}": series for part, series in turned.items()}
+
+
+def test_of_several_bodies_a_draft_takes_the_one_that_answers_the_commands_and_names_the_others(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    still = {axis: 0.5 + rng.normal(0, 2e-4, T.size) for axis in "xyz"} | {"yaw": 0 * T}
+    log = bodies_of("vicon", wand=body(still), vehicle=body(turning()))
+
+    text = draft_card(log)
+
+    assert loaded(text, tmp_path).pose["x"].source == "take:vehicle.position.x"
+    assert "# EDIT if one of these is right: take:wand.position.x" in text
+    assert "Signs were checked against the motion." in text
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_the_axes_of_motive_are_those_in_which_the_vehicle_obeys(up: str) -> None:
+    text = draft_card(bodies_of("motive", drone=body(turning(), up)))
+
+    assert f'\nz = "take:drone.position.{up}"' in text
+    assert ("# Motive has y up" in text) == (up == "y")
+    assert "EDIT" not in text.partition("[pose]")[2].partition("\n# [limits]")[0]
 
 
 @pytest.mark.parametrize(("unit", "line"), [("mm", 'unit = "mm" }  # unit as the file states it'), ("m", None)])

@@ -33,10 +33,10 @@ from rotorfit.diagnosis.recognition import (
     Recognised,
     commands_in,
     is_down,
-    is_of_motive,
     is_of_tello,
     is_of_the_body,
-    pose_in,
+    is_turned_up,
+    poses_in,
     reference_in,
     velocities_as_commands,
     velocity_in,
@@ -83,14 +83,15 @@ class DraftContents:
         return [axis for axis in "xyz" if axis in self.velocity.channels and axis not in self.pose.channels]
 
 
-def found_in(log: Log, guess: bool = True) -> DraftContents:
+def found_in(log: Log, pose: Recognised, guess: bool = True) -> DraftContents:
     """Contents of a draft according to the names in a log.
 
     Args:
         log: As recorded.
+        pose: One of its poses.
         guess: Whether columns named like velocities may be commands where nothing else is.
     """
-    commands, pose, doubted = commands_in(log), pose_in(log), False
+    commands, doubted = commands_in(log), False
     if guess and not commands.channels and (named := velocities_as_commands(log, pose)).channels:
         commands, doubted = named, True
     velocity = velocity_in(log, commands, pose)
@@ -127,7 +128,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         "# meaning: tilt, velocity, vertical_speed or yaw_rate; full_scale: the limit that a command of 1 asks for",
         "",
         "[pose]",
-        *(["# Motive has y up: the axes are permuted cyclically"] * is_of_motive(log, pose)),
+        *(["# Motive has y up: the axes are permuted cyclically"] * is_turned_up(log, pose)),
         *([f"# EDIT if one of these is right: {', '.join(map(visible, pose.others))}"] * bool(pose.others)),
         _line("time", pose.time),
         *(
@@ -274,9 +275,7 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     if name:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
-    asked = _held_in_degrees(log, _in_degrees(log, _asked(log, found_in(log))))
-    asked = _upright(log, _in_the_better_order(log, asked))
-    asked = _commanded(log, _better_read(log, _in_the_better_frame(log, asked)))
+    asked = _commanded(log, _answering(log))
     found, told = asked.found, asked.answers
     if told is None:
         return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
@@ -319,6 +318,37 @@ class _Asked:
     why: str = ""
     motion: Motion | None = None
     height: int = 0
+
+
+def _answering(log: Log) -> _Asked:
+    """The draft with the pose that answers most commands, the likeliest by name where several do; the rest is named."""
+    likeliest, *others = poses_in(log)
+    best = _as_it_moves(log, _asked(log, found_in(log, likeliest)))
+    for pose in others:
+        if best.answers and not _unlike(best.answers):
+            break
+        best = max(best, _as_it_moves(log, _asked(log, found_in(log, pose))), key=_obedience)
+    known = _places(best.found.pose)
+    rest = [min(places) for pose in (likeliest, *others) if (places := _places(pose)) and places != known]
+    pose = replace(best.found.pose, others=tuple(dict.fromkeys((*best.found.pose.others, *rest))))
+    return replace(best, found=replace(best.found, pose=pose))
+
+
+def _obedience(asked: _Asked) -> tuple[int, int]:
+    """How many commands move the vehicle, and how few of them otherwise than their names say."""
+    told = asked.answers
+    return (sum(1 for answer in told.of.values() if answer.axis), -_odd(told)) if told else (0, 0)
+
+
+def _places(pose: Recognised) -> frozenset[str]:
+    return frozenset(str(channel.source) for axis, channel in pose.channels.items() if axis in "xyz")
+
+
+def _as_it_moves(log: Log, asked: _Asked) -> _Asked:
+    """A draft with the pose read as the motion supports."""
+    asked = _held_in_degrees(log, _in_degrees(log, asked))
+    asked = _upright(log, _in_the_better_order(log, asked))
+    return _better_read(log, _in_the_better_frame(log, asked))
 
 
 def _asked(log: Log, found: DraftContents) -> _Asked:
@@ -452,7 +482,7 @@ def _commanded(log: Log, asked: _Asked) -> _Asked:
     found, told = asked.found, asked.answers
     if told is None or not found.doubted or any(told.of[axis].lag > QUICKEST for axis in told.of.keys() & {"x", "y"}):
         return asked
-    return _Asked(found_in(log, guess=False), None)
+    return _Asked(found_in(log, found.pose, guess=False), None)
 
 
 def _odd(told: Answers) -> int:

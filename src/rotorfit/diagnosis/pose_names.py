@@ -32,6 +32,9 @@ _HEADINGS: tuple[Mapping[str, str], ...] = (
 )
 
 
+_BODY_PART = re.compile(r"(.*)\.(position|quaternion|rotation)\.([wxyz])")
+
+
 @dataclass(frozen=True)
 class Family:
     """Columns of a table whose names differ in the axis alone.
@@ -58,6 +61,29 @@ class NamedPose:
     names: Mapping[str, str]
     strays: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+
+
+def completeness(pose: NamedPose) -> int:
+    """How many of x, y, z and a heading a pose has."""
+    return len(pose.names.keys() & {"x", "y", "z"}) + bool(pose.names.keys() & {"yaw", "qw"})
+
+
+def bodies_named(table: Table) -> list[NamedPose]:
+    """Rigid bodies in an export of motion capture; the fullest, then the shortest names first.
+
+    Elsewhere such names may be anything. A rotation without w is no quaternion.
+    """
+    bodies: dict[str, dict[str, dict[str, str]]] = {}
+    for name in table.columns:
+        if part := _BODY_PART.fullmatch(name):
+            body, kind, axis = part.groups()
+            bodies.setdefault(body, {}).setdefault(kind, {})[axis] = name
+    found = []
+    for body in sorted(bodies, key=len):
+        kinds = bodies[body]
+        turned = next((kinds[kind] for kind in ("rotation", "quaternion") if "w" in kinds.get(kind, {})), {})
+        found.append(NamedPose(kinds.get("position", {}) | {f"q{part}": name for part, name in turned.items()}))
+    return sorted(found, key=completeness, reverse=True)
 
 
 def poses_named(table: Table) -> list[NamedPose]:

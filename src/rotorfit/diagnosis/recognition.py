@@ -9,7 +9,7 @@ import numpy as np
 from rotorfit.core.card import LENGTH_UNITS, Channel
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
-from rotorfit.diagnosis.pose_names import NamedPose, headings_named, poses_named
+from rotorfit.diagnosis.pose_names import NamedPose, bodies_named, completeness, headings_named, poses_named
 from rotorfit.files.logs.several import format_of
 from rotorfit.flights.columns import (
     clock_of,
@@ -53,8 +53,6 @@ _STICKS = {
     "z": "(?:rc_)?ud|up_down(?:_velocity)?",
     "yaw": "(?:rc_)?yv|rc_yaw|yaw_velocity",  # which alone may be measured
 }
-
-_BODY_PART = re.compile(r"(.*)\.(position|quaternion|rotation)\.([wxyz])")
 
 _Y_UP = {"x": "z", "y": "x", "z": "y", "qw": "qw", "qx": "qz", "qy": "qx", "qz": "qy"}
 
@@ -125,33 +123,53 @@ def velocities_as_commands(log: Log, pose: Recognised) -> Recognised:
     return _recognised(log, names_in)
 
 
-def pose_in(log: Log) -> Recognised:
-    """Quantity to column of the pose, by name; with several tables the heading may come from another table."""
-    body = _recognised(log, _body)
-    if body.channels:
-        return z_up(body) if is_of_motive(log, body) else body
-    pose = _with_unit_of_yaw(log, _named_pose(log))
-    if not pose.channels.keys() & {"x", "y", "z"} or pose.channels.keys() & {"yaw", "qw"} or len(log.tables) == 1:
-        return pose
+def poses_in(log: Log) -> list[Recognised]:
+    """Poses by name, the likeliest first: those with the most of x, y, z and a heading, then with most samples.
+
+    At least one, which may be empty. With several tables its heading may come from another one. Each body of an export
+    of Motive is there twice: with its y up, as by default, and with its z up.
+    """
+    if bodies := _fullest(log, _bodies):
+        of_motive = [is_of_motive(log, body) for body in bodies]
+        upright = [z_up(body) if turned else body for body, turned in zip(bodies, of_motive, strict=True)]
+        return upright + [body for body, turned in zip(bodies, of_motive, strict=True) if turned]
     heading = _with_unit_of_yaw(log, _recognised(log, _attitude))
-    if not pose.channels:
-        return heading  # the only pose information where only velocities are logged
-    return replace(pose, channels={**pose.channels, **heading.channels})
+    poses = [_with_unit_of_yaw(log, pose) for pose in _fullest(log, _poses)] or [heading]
+    return [_with_heading(pose, heading) for pose in poses]
 
 
-def _named_pose(log: Log) -> Recognised:
-    """The pose of one table, by the names of its columns."""
-    named = {name: said for name, table in log.tables.items() if (said := _pose(log, table))}
-    pose = _recognised(log, lambda _, table: dict(named[table.name].names) if table.name in named else {})
-    if pose.table is None:
-        return pose
-    table, said = log.tables[pose.table], named[pose.table]
-    return replace(pose, strays=said.strays, others=tuple(source_of(log, table, name) for name in said.unused))
+def pose_in(log: Log) -> Recognised:
+    """The likeliest pose by name."""
+    return poses_in(log)[0]
+
+
+def _with_heading(pose: Recognised, heading: Recognised) -> Recognised:
+    known = pose.channels.keys() & {"yaw", "qw"}
+    return pose if known else replace(pose, channels={**pose.channels, **heading.channels})
+
+
+def _fullest(log: Log, poses_of: Callable[[Log, Table], list[NamedPose]]) -> list[Recognised]:
+    """The poses with the most of x, y, z and a heading, those with most samples first."""
+    named = [(table, pose) for table in log.tables.values() for pose in poses_of(log, table)]
+    most = max((completeness(pose) for _, pose in named), default=0)
+    full = [(table, pose) for table, pose in named if completeness(pose) == most]
+    full.sort(key=lambda one: (len(one[1].names), _samples(one[0], one[1].names)), reverse=True)
+    return [_named_stream(log, table, pose) for table, pose in full]
+
+
+def _named_stream(log: Log, table: Table, pose: NamedPose) -> Recognised:
+    others = tuple(source_of(log, table, name) for name in pose.unused)
+    return replace(_stream(log, table, pose.names), strays=pose.strays, others=others)
 
 
 def is_of_motive(log: Log, pose: Recognised) -> bool:
-    """Whether a pose is from an export of Motive, whose y is up."""
+    """Whether a pose is from an export of Motive, whose y is up by default."""
     return pose.table is not None and format_of(log, pose.table) == "motive"
+
+
+def is_turned_up(log: Log, pose: Recognised) -> bool:
+    """Whether a pose is from an export of Motive and read with y up."""
+    return is_of_motive(log, pose) and "z" in pose.channels and str(pose.channels["z"].source).endswith(".y")
 
 
 def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
@@ -246,22 +264,23 @@ def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> R
 
     Only commands are searched in tables with such names, because a Twist may also be a measurement of motion capture.
     """
-    best: tuple[Table, dict[str, str], int] | None = None
-    most = (False, 0, 0)
-    for table in log.tables.values():
-        names = names_in(log, table)
-        count = series_of(table)[next(iter(names.values()))] if names else 0
-        if names and (rank := (_asked(log, table), len(names), count)) > most:
-            best, most = (table, names, count), rank
-    if best is None:  # a file of matrices: at least its clock
+    found = [(table, names) for table in log.tables.values() if (names := names_in(log, table))]
+    if not found:  # a file of matrices: at least its clock
         only = list(log.tables.values())[:1] if len(log.tables) == 1 else []
         return Recognised({}, clock_of(log, only[0], sample_count(only[0])) if only else None)
-    table, names, count = best
-    time = clock_of(log, table, count)
+    best = max(found, key=lambda one: (_asked(log, one[0]), len(one[1]), _samples(*one)))
+    return _stream(log, *best)
+
+
+def _samples(table: Table, names: Mapping[str, str]) -> int:
+    return series_of(table)[next(iter(names.values()))]
+
+
+def _stream(log: Log, table: Table, names: Mapping[str, str]) -> Recognised:
     channels = {
         what: Channel(source_of(log, table, name), unit=_unit(log, table, name)) for what, name in names.items()
     }
-    return Recognised(channels, time, table.name)
+    return Recognised(channels, clock_of(log, table, _samples(table, names)), table.name)
 
 
 def _with_unit_of_yaw(log: Log, pose: Recognised) -> Recognised:
@@ -310,33 +329,13 @@ def _family(word: str, speed: str) -> dict[str, str]:
     return {axis: f"{word}_?(?:{names})|(?:{names})_?{word}" for axis, names in axes.items()}
 
 
-def _body(log: Log, table: Table) -> dict[str, str]:
-    """Quantity to column of a rigid body, in exports of motion capture only: elsewhere such names may be anything.
-
-    All columns are of one body, the one with most of them. A rotation without w is no quaternion.
-    """
-    if format_of(log, table.name) not in ("motive", "vicon"):
-        return {}
-    bodies: dict[str, dict[str, dict[str, str]]] = {}
-    for name in table.columns:
-        if part := _BODY_PART.fullmatch(name):
-            body, kind, axis = part.groups()
-            bodies.setdefault(body, {}).setdefault(kind, {})[axis] = name
-    found: dict[str, str] = {}
-    for body in sorted(bodies, key=len):
-        kinds = bodies[body]
-        turned = next((kinds[kind] for kind in ("rotation", "quaternion") if "w" in kinds.get(kind, {})), {})
-        known = kinds.get("position", {}) | {f"q{part}": name for part, name in turned.items()}
-        found = known if len(known) > len(found) else found
-    return found
+def _bodies(log: Log, table: Table) -> list[NamedPose]:
+    return bodies_named(table) if format_of(log, table.name) in ("motive", "vicon") else []
 
 
-def _pose(log: Log, table: Table) -> NamedPose | None:
-    """The likeliest pose of a table; None for a topic that is named as a command or a setpoint."""
-    found = [] if _asked(log, table) else poses_named(table)
-    if found or len(log.tables) > 1 or not (headings := headings_named(table)):
-        return next(iter(found), None)
-    return NamedPose(headings[0].names)
+def _poses(log: Log, table: Table) -> list[NamedPose]:
+    """Poses of a table that is not named as a command or a setpoint."""
+    return [] if _asked(log, table) else poses_named(table)
 
 
 def _attitude(log: Log, table: Table) -> dict[str, str]:
