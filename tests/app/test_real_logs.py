@@ -68,6 +68,15 @@ def codes(flight: Flight) -> dict[str, int]:
     return {code: sum(n.count for n in flight.notes if n.code == code) for code in {n.code for n in flight.notes}}
 
 
+def test_a_flight_names_the_built_in_card_that_reads_it(real_flights: Path) -> None:
+    path = str(real_flights / "bebop2-joystick/record_velocity.csv")
+    told = {note.code: note.text for note in load_flight(LogSpan(path, (None, None))).notes}
+
+    assert told["card_proposed"].startswith("read with the built-in card bebop2-joystick, ")
+    notes = load_flight(LogSpan(path, (None, None)), "bebop2-joystick").notes
+    assert "card_proposed" not in {note.code for note in notes}
+
+
 def test_px4_uses_its_velocity_controlled_window_only(real_flights: Path) -> None:
     log = read(real_flights / PX4)
     flight = load_flight(LogSpan(str(real_flights / PX4), (None, None)))

@@ -1,5 +1,6 @@
 """Built-in cards: each reads a log of the columns that it names, and says where it comes from."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -137,3 +138,11 @@ def test_of_two_cards_that_fit_the_one_that_is_put_over_the_other_is_proposed() 
     assert proposal(both).name == "bebop2-vrpn"
     assert proposal(both).why == "before bebop2-odometry (bebop2-vrpn goes before it where both fit)"
     assert proposal(own).why == "the only one whose columns are all there"
+
+
+@pytest.mark.parametrize("name", ["ardrone-optitrack", "ardrone-vicon"])
+def test_a_twist_and_motion_capture_alone_are_no_ardrone(name: str) -> None:
+    log = log_for(name)
+    without = {table: one for table, one in log.tables.items() if table != "/ardrone/navdata"}
+
+    assert name not in fitting_cards(replace(log, tables=without))

@@ -109,8 +109,9 @@ def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Flight]:
         return raw, replace(flight, notes=(*([Note("card_given", told, 1)] if told else ()), *flight.notes))
     proposed = proposal(raw)
     flight = flight_from_log(raw, proposed.card, log.span)
-    if proposed.rivals:
-        note = Note("card_proposed", f"read with the card {proposed.name}, {proposed.why}", len(proposed.rivals))
+    if proposed.name:
+        told = f"read with the built-in card {proposed.name}, {proposed.why}"
+        note = Note("card_proposed", told, max(1, len(proposed.rivals)))
         flight = replace(flight, notes=(note, *flight.notes))
     return raw, flight
 
