@@ -203,6 +203,60 @@ def test_the_order_of_numbered_parts_is_told_as_guessed_unless_the_motion_bears_
     assert "this order is a guess" not in told
 
 
+def test_a_draft_reads_the_tables_of_rostopic_and_of_plotjuggler(tmp_path: Path) -> None:
+    true, ns = turning(), np.round(1e9 * (T + 1.7e9)).astype(np.int64)
+    half = true["yaw"] / 2
+    pose = {f"pose.position.{axis}": true[axis] for axis in "xyz"}
+    pose |= {f"pose.orientation.{part}": 0 * T for part in "xy"}
+    pose |= {"pose.orientation.w": np.cos(half), "pose.orientation.z": np.sin(half)}
+    twist = {f"linear.{axis}": COMMAND[axis] for axis in "xyz"} | {"angular.z": COMMAND["yaw"]}
+    seen = {"%time": ns + 5_000_000, "field.header.stamp": ns, **{f"field.{name}": one for name, one in pose.items()}}
+    told = {"%time": ns, **{f"field.{name}": one for name, one in twist.items()}}
+    echoed = join_logs([log_of("cmd.csv", cmd=told), log_of("pose.csv", pose=seen)])
+    slashed = {f"/vrpn_client_node/drone/pose/{name.replace('.', '/')}": one for name, one in pose.items()}
+    slashed |= {f"/drone/cmd_vel/{name.replace('.', '/')}": one for name, one in twist.items()}
+    juggled = log_of("table.csv", table={"__time": T + 1.7e9, **slashed})
+
+    first, second = loaded(draft_card(echoed), tmp_path), loaded(draft_card(juggled), tmp_path)
+
+    assert (first.command_time.source, first.command_time.unit) == ("cmd:%time", "ns")
+    assert (first.pose_time.source, first.pose_time.unit) == ("pose:field.header.stamp", "ns")
+    assert first.command["x"].source == "cmd:field.linear.x"
+    assert first.pose["qw"].source == "pose:field.pose.orientation.w"
+    assert (second.command_time.source, second.pose_time.source) == ("__time", "__time")
+    assert second.command["yaw"].source == "/drone/cmd_vel/angular/z"
+    assert second.pose["x"].source == "/vrpn_client_node/drone/pose/pose/position/x"
+
+
+def test_poses_and_commands_with_clocks_of_their_own_names_and_vectors_are_drafted(tmp_path: Path) -> None:
+    true, fine = turning(), np.arange(0.0, T[-1], 0.02)
+    told = np.stack([np.interp(fine, T, COMMAND[axis]) for axis in ("x", "y", "z", "yaw")], axis=1)
+    seen = np.stack([true[axis] for axis in "xyz"], axis=1)
+    columns = {"pose.time": T, "pose.position": seen, "pose.yaw": true["yaw"], "cmd.time": fine, "cmd.vel": told}
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert (card.command_time.source, card.pose_time.source) == ("cmd.time", "pose.time")
+    assert [card.pose[axis].source for axis in "xyz"] == [f"pose.position[{i}]" for i in range(3)]
+    assert [card.command[axis].source for axis in ("x", "y", "z", "yaw")] == [f"cmd.vel[{i}]" for i in range(4)]
+
+
+@pytest.mark.parametrize("word", ["pose.", ""])
+def test_rows_of_poses_and_of_commands_have_clocks_of_their_own(word: str, tmp_path: Path) -> None:
+    """As of JSON Lines of two kinds: each row is blank where the other's columns are."""
+    true, fine = turning(), np.arange(0.01, T[-1], 0.05)
+    told = {f"cmd.{axis}": np.interp(fine, T, COMMAND[axis]) for axis in ("x", "y", "z", "yaw")} | {"cmd.stamp": fine}
+    seen = {f"{word}{axis}": true[axis] for axis in ("x", "y", "z", "yaw")} | {"pose.stamp": T}
+    place = np.argsort(np.concatenate([fine, T]), kind="stable")
+    columns = {name: np.concatenate([one, np.full(T.size, np.nan)])[place] for name, one in told.items()}
+    columns |= {name: np.concatenate([np.full(fine.size, np.nan), one])[place] for name, one in seen.items()}
+
+    card = loaded(draft_card(log := log_of(flight=columns)), tmp_path)
+
+    assert (card.command_time.source, card.pose_time.source) == ("cmd.stamp", "pose.stamp")
+    assert flight_from_log(log, card).duration == pytest.approx(T[-1], abs=0.2)
+
+
 def test_references_of_a_position_are_not_taken_for_commands() -> None:
     names = {f"cmd_{axis}": f"{axis}_ref" for axis in ("x", "y", "z")}
     text = draft_card(csv_log(**names, cmd_yaw=""))

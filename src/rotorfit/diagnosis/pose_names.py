@@ -15,9 +15,16 @@ _WHERE = (
 
 _AT = f"{_WHERE}(?:position|pos|p)_?"
 
+_OF_A_TOPIC = "(?!.*(?:cmd|command|setpoint|target|goal|desired|ref))(?:.*_)?"
+"""Before the fields of a message: its topic, or `field` as rostopic echo -p has it."""
+
 _PLACES: tuple[Mapping[str, str], ...] = (
-    {axis: f"{_WHERE}({axis})|({axis})_?(?:pos|position|opt|mocap|est|u)" for axis in "xyz"},
-    {axis: f"(?:position|pos)_({i})" for i, axis in enumerate("xyz")},
+    {
+        axis: f"{_WHERE}({axis})|({axis})_?(?:pos|position|opt|mocap|est|u)|"
+        f"{_OF_A_TOPIC}(?:pose_position|transform_translation)_({axis})"
+        for axis in "xyz"
+    },
+    {axis: f"{_WHERE}(?:position|pos)_({i})" for i, axis in enumerate("xyz")},
     {"x": f"{_AT}(e)|{_WHERE}(east)", "y": f"{_AT}(n)|{_WHERE}(north)", "z": f"{_AT}(u)|{_WHERE}(up)"},
     {"x": f"{_AT}(n)|{_WHERE}(north)", "y": f"{_AT}(e)|{_WHERE}(east)", "z": f"{_AT}(d)|{_WHERE}(down)"},
 )
@@ -25,7 +32,10 @@ _PLACES: tuple[Mapping[str, str], ...] = (
 _QUATERNION = "(?:orientation|rotation|quaternion|quat|q)_?"
 
 _HEADINGS: tuple[Mapping[str, str], ...] = (
-    {f"q{part}": f"{_WHERE}{_QUATERNION}({part})" for part in "wxyz"},
+    {
+        f"q{part}": f"{_WHERE}{_QUATERNION}({part})|{_OF_A_TOPIC}(?:pose_orientation|transform_rotation)_({part})"
+        for part in "wxyz"
+    },
     {f"q{part}": f"{_WHERE}{_QUATERNION}({i})" for i, part in enumerate("wxyz")},
     {f"q{part}": f"{_WHERE}{_QUATERNION}({i})" for i, part in enumerate("wxyz", 1)},
     *({"yaw": f"{_WHERE}({word})|({word})_?(?:pos|opt|mocap|est)"} for word in ("yaw", "psi", "heading")),

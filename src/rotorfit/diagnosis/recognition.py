@@ -25,7 +25,7 @@ from rotorfit.flights.columns import (
 from rotorfit.flights.stamps import degrees_for_radians, increasing, stamps_of
 
 _COMMAND_FAMILIES = (
-    ("(?:cmd_vel|cmd|command)", "(?:v_?)?"),
+    ("(?:(?:.*_)?cmd_vel(?:_twist)?|cmd|command)", "(?:v_?)?"),
     ("(?:u|input|ctrl|control)", "(?:v_?)?"),
     ("(?:ref|setpoint|sp|des|desired|(?:ctrl)?target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
     ("(?:pct|percent|stick)", "(?:v_?)?"),
@@ -280,7 +280,8 @@ def _stream(log: Log, table: Table, names: Mapping[str, str]) -> Recognised:
     channels = {
         what: Channel(source_of(log, table, name), unit=_unit(log, table, name)) for what, name in names.items()
     }
-    return Recognised(channels, clock_of(log, table, _samples(table, names)), table.name)
+    time = clock_of(log, table, _samples(table, names), next(iter(names.values())))
+    return Recognised(channels, time, table.name)
 
 
 def _with_unit_of_yaw(log: Log, pose: Recognised) -> Recognised:
@@ -309,9 +310,10 @@ def _unit(log: Log, table: Table, name: str) -> str | None:
 
 def _commands(log: Log, table: Table) -> dict[str, str]:
     """Axis to column of the family of names (cmd_x, ux, vx_ref ...) that covers most axes, or of a Twist."""
-    twist = {"x": "(?:twist_)?linear_x", "y": "(?:twist_)?linear_y", "z": "(?:twist_)?linear_z"}
-    twist |= {"yaw": "(?:twist_)?angular_z"}
+    twist = {axis: f"(?:field_)?(?:twist_)?linear_{axis}" for axis in "xyz"}  # field: as rostopic echo -p has it
+    twist |= {"yaw": "(?:field_)?(?:twist_)?angular_z"}
     families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
+    families.append(_named(table, {axis: f"(?:cmd|command)_?(?:vel_)?{i}" for i, axis in enumerate(AXES)}))
     sticks = _named(table, _STICKS)
     families += [sticks if {"x", "y"} <= sticks.keys() else {}, _named(table, _DEMAND)]
     if format_of(log, table.name).startswith("dataflash"):

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from itertools import takewhile
 
 import numpy as np
 
@@ -285,6 +286,8 @@ _CLOCKS = (
     *("clock", "sec_of_day", "seconds_of_day", "time_of_day"),
 )
 
+_CLOCK_OF_SOMETHING = re.compile("(.+)_(?:time|stamp|timestamp|time_stamp)")
+
 _PER_SECOND = {None: 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 SINCE_1970 = 0.9e9, 4.1e9
@@ -307,9 +310,17 @@ def shape_text(values: Column) -> str:
     return "" if values.ndim == 1 or 1 in values.shape else f" ({' x '.join(str(n) for n in values.shape)})"
 
 
-def clock_of(log: Log, table: Table, count: int) -> Channel | None:
-    """The likely clock of `count` samples, its unit inferred from its name or its steps; None if there is none."""
-    names = clocks_of(table, count)
+def clock_of(log: Log, table: Table, count: int, of: str = "") -> Channel | None:
+    """The likely clock of `count` samples, its unit inferred from its name or its steps; None if there is none.
+
+    Args:
+        log: Log that holds the table.
+        table: The table.
+        count: Number of samples.
+        of: Name of a column that it is to stamp: a clock that is filled where that is, and begins with the same words,
+            as `pose.time` beside `pose.x`, comes before others.
+    """
+    names = sorted(clocks_of(table, count), key=lambda name: (not _stamps(table, name, of), -_words_shared(name, of)))
     if not names:
         return None
     of_ulog = format_of(log, table.name) == "ulog" and names[0] == "timestamp"
@@ -325,8 +336,9 @@ def _likely_unit(stamps: Array) -> str | None:
     Where both leave two open, whole numbers at 1 kHz to 1 Hz are ms, us or ns; seconds in which several samples fall
     are seconds.
     """
-    steps = np.diff(stamps[np.isfinite(stamps)])
-    step, largest = float(np.median(steps[steps > 0])), float(np.nanmax(np.abs(stamps)))
+    stamps = stamps[np.isfinite(stamps)]
+    steps = np.diff(stamps)
+    step, largest = float(np.median(steps[steps > 0])), float(np.max(np.abs(stamps)))
     units = [(unit, size) for unit, size in _PER_SECOND.items() if 1e-4 <= step / size <= 3.0]
     for unit, size in units:
         if SINCE_1970[0] < largest / size < SINCE_1970[1]:
@@ -342,10 +354,31 @@ def clocks_of(table: Table, count: int) -> list[str]:
 
 
 def clocks(table: Table) -> dict[str, int]:
-    """Columns that are named like clocks and advance, with their lengths; the likeliest first."""
-    names = {name_without_unit(name): name for name, values in table.columns.items() if is_series(values)}
-    likely = {names[clock]: table.columns[names[clock]] for clock in _CLOCKS if clock in names}
-    return {name: clock.size for name, clock in likely.items() if np.any(np.diff(clock.ravel().astype(float)) > 0)}
+    """Columns that are named like clocks, or like those of something, and advance; the likeliest first."""
+    plain = {name: name_without_unit(name) for name, values in table.columns.items() if is_series(values)}
+    names = {one: name for name, one in plain.items()}
+    likely = [names[clock] for clock in _CLOCKS if clock in names]
+    likely += [name for name, one in plain.items() if _CLOCK_OF_SOMETHING.fullmatch(one) and name not in likely]
+    return {name: table.columns[name].size for name in likely if _advances(table.columns[name].ravel().astype(float))}
+
+
+def _advances(stamps: Array) -> bool:
+    return bool(np.any(np.diff(stamps[np.isfinite(stamps)]) > 0))
+
+
+def _stamps(table: Table, clock: str, name: str) -> bool:
+    """Whether a clock is filled in most rows in which a column is; True where the column is the row of a matrix."""
+    stamps, values = table.columns[clock].ravel(), table.columns.get(name)
+    if values is None or values.size != stamps.size:
+        return True
+    filled = np.isfinite(values.ravel())
+    return bool(np.sum(np.isfinite(stamps) & filled) >= 0.5 * np.sum(filled))
+
+
+def _words_shared(one: str, other: str) -> int:
+    """Number of words at the start that two names share."""
+    pairs = zip(plain_name(one).split("_"), plain_name(other).split("_"), strict=False)
+    return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
 
 
 def is_series(values: Column) -> bool:
