@@ -525,6 +525,26 @@ def test_the_axes_of_motive_are_those_in_which_the_vehicle_obeys(up: str) -> Non
     assert "EDIT" not in text.partition("[pose]")[2].partition("\n# [limits]")[0]
 
 
+def test_a_card_whose_z_does_not_point_up_is_told_the_axis_that_does(tmp_path: Path) -> None:
+    true = raised(1.0)
+    half, rolled = true.pop("yaw") / 2, 0.02 * np.sin(3 * T)
+    turned = dict(zip(("qw", "qx", "qy", "qz"), (np.cos(half), rolled, -rolled, np.sin(half)), strict=True))
+    commands = {f"cmd_{axis}": series for axis, series in COMMAND.items()}
+    log = log_of(flight={"time": T, **true, **turned, **commands})
+    text = draft_card(log)
+    right = next(line for line in text.splitlines() if line.startswith("quaternion"))
+    pose = text.partition("[pose]")[2]
+    wrong = pose.replace('x = "x"', 'x = "Z"').replace('y = "y"', 'y = "x"').replace('z = "z"', 'z = "y"')
+    wrong = wrong.replace('"Z"', '"z"').replace(right, 'quaternion = ["qw", "qz", "qx", "qy"]')
+
+    flight = flight_from_log(log, loaded(text.replace(pose, wrong), tmp_path))
+    told = {one.code: one for one in findings_of_flight(log, flight)}
+
+    assert "the command of z moves the vehicle along x" in told["axes_exchanged"].evidence
+    assert 'x = "x", y = "y", z = "z", quaternion = ["qw", "qx", "qy", "qz"]' in told["axes_exchanged"].remedy
+    assert "quaternion_order" not in told
+
+
 @pytest.mark.parametrize(("unit", "line"), [("mm", 'unit = "mm" }  # unit as the file states it'), ("m", None)])
 def test_a_length_is_in_the_unit_that_the_export_states_however_fast_the_motion(unit: str, line: str | None) -> None:
     columns = {f"drone.rotation.{part}": 0 * T + (part == "w") for part in "wxyz"}

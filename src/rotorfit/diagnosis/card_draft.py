@@ -386,7 +386,7 @@ def _held_in_degrees(log: Log, asked: _Asked) -> _Asked:
     In radians the commands are the world's, then, or do not move the vehicle as their names say.
     """
     yaw, told, motion = asked.found.pose.channels.get("yaw"), asked.answers, asked.motion
-    if yaw is None or yaw.unit or told is None or motion is None:
+    if yaw is None or yaw.unit or stated_unit(log, yaw) or told is None or motion is None:
         return asked
     if turned_by_yaw(told) or not is_held_in_degrees(motion) or (told.frame != "world" and not _unlike(told)):
         return asked

@@ -94,7 +94,7 @@ class Directions:
 def frame_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the frames of one flight; none where its directions are not significant."""
     card, flight, motion = recording.card, recording.flight, recording.motion
-    if wrong := _order(recording):
+    if wrong := _lying(recording) or _order(recording):
         yield wrong
         return
     moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
@@ -150,6 +150,26 @@ def is_held_in_degrees(motion: Motion) -> bool:
 def turned_by_yaw(told: Answers) -> bool:
     """Whether the command of yaw turns the vehicle: parts of a quaternion in the wrong order are no heading."""
     return "yaw" in told.of and told.of["yaw"].axis == "yaw"
+
+
+def _lying(recording: Recording) -> Finding | None:
+    """Finding for a pose whose vertical axis is another one: its z does not answer the command of z."""
+    pose, climbs = recording.card.pose, recording.answers.of.get("z")
+    if climbs is None or climbs.axis not in ("x", "y") or not {"x", "y", "z"} <= pose.keys():
+        return None
+    x, y, z = ("y", "z", "x") if climbs.axis == "x" else ("z", "x", "y")  # cyclic: it stays right-handed
+    axes = ", ".join(f"{to} = {toml_text(str(pose[of].source))}" for to, of in zip("xyz", (x, y, z), strict=True))
+    parts = [toml_text(str(pose[f"q{of}"].source)) for of in ("w", x, y, z)] if "qw" in pose else []
+    turned = f", quaternion = [{', '.join(parts)}]" if parts else ""
+    return Finding(
+        "axes_exchanged",
+        "error",
+        f"the command of z moves the vehicle along {climbs.axis} ({climbs.certainty:.0f} standard errors, "
+        f"{100 * climbs.explained:.0f} % explained)",
+        "no coefficient is the vehicle's: each axis is fitted to the command of another",
+        f"if {climbs.axis} of the pose points up, write in [pose] of the card: {axes}{turned}; if only commands are "
+        f"wrong, exchange the columns of z and {climbs.axis} in [command]",
+    )
 
 
 def _order(recording: Recording) -> Finding | None:

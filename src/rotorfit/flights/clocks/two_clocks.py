@@ -98,8 +98,8 @@ def _by_answer(
         onboard_too = f"; onboard motion, poses: {refused}" if refused else ""
         raise FlightError(
             f"{log.path}: the clock offset between the two files cannot be determined; commands, poses: {found}"
-            f'{onboard_too}; name the vehicle\'s own velocity in [velocity] of the card, or write clock = "one" in it '
-            "if they are one clock"
+            f"{onboard_too}; check that [pose] of the card names the vehicle, and its z the axis that points up; else "
+            'name the vehicle\'s own velocity in [velocity], or write clock = "one" in it if they are one clock'
         )
     # Here the poses' clock is the first: a pose at s responds to a command at s + offset + drift (s - middle).
     base = (int(poses.stamps[0]) - int(commands.stamps[0])) / 1e9 - ANSWER
