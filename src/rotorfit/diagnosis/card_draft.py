@@ -249,6 +249,8 @@ def _quaternion_line(pose: Recognised, said: str) -> str:
 CLEARER = 0.7
 """Largest share of the residual variance that another reading of the pose may leave to be preferred."""
 
+_PERHAPS_A_HEIGHT = "EDIT: named unlike x and y; a height instead of a velocity? "
+
 MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
 
 _DIRECTIONS = {
@@ -546,7 +548,8 @@ def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[st
         turned = answer is not None and name in sure and answer.sign < 0 and answer.axis == axis
         channels[axis] = _turned(channel) if turned else channel
         mirrored = turned and told.frame is None and axis in ("x", "y")
-        said[axis] = _remark(name, axis, answer, told.frame or "heading") + MIRRORED * mirrored
+        stray = _PERHAPS_A_HEIGHT * (name in commands.strays)
+        said[axis] = stray + _remark(name, axis, answer, told.frame or "heading") + MIRRORED * mirrored
     return replace(commands, channels=channels), said
 
 

@@ -103,6 +103,23 @@ def poses_named(table: Table) -> list[NamedPose]:
     return [_pose(place, places, headings) for place in fullest]
 
 
+def named_alike(table: Table, patterns: Mapping[str, str]) -> dict[str, str]:
+    """Quantity to column, of the fullest family; what that lacks is of the next one that has it.
+
+    Args:
+        table: The table.
+        patterns: Quantity to the pattern of its plain name, with the axis in a group of its own.
+    """
+    return _filled(_families(table, [patterns]))
+
+
+def _filled(families: Sequence[Family]) -> dict[str, str]:
+    names: dict[str, str] = {}
+    for family in families:
+        names |= {quantity: name for quantity, name in family.names.items() if quantity not in names}
+    return names
+
+
 def headings_named(table: Table) -> list[Family]:
     """Headings in a table: quaternions before yaws."""
     return [family for family in _families(table, _HEADINGS) if "yaw" in family.names or len(family.names) == 4]
@@ -110,9 +127,7 @@ def headings_named(table: Table) -> list[Family]:
 
 def _pose(place: Family, places: Sequence[Family], headings: Sequence[Family]) -> NamedPose:
     """A family with the heading named most like it; axes that it lacks are of the next family that has them."""
-    names: dict[str, str] = {}
-    for family in (place, *places):
-        names |= {axis: name for axis, name in family.names.items() if axis not in names}
+    names = _filled([place, *places])
     heading = min(headings, key=lambda one: _distance(one, place, places), default=None)
     names |= heading.names if heading else {}
     rest = [next(iter(family.names.values())) for family in (*places, *headings) if family not in (place, heading)]

@@ -9,7 +9,14 @@ import numpy as np
 from rotorfit.core.card import LENGTH_UNITS, Channel
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
-from rotorfit.diagnosis.pose_names import NamedPose, bodies_named, completeness, headings_named, poses_named
+from rotorfit.diagnosis.pose_names import (
+    NamedPose,
+    bodies_named,
+    completeness,
+    headings_named,
+    named_alike,
+    poses_named,
+)
 from rotorfit.files.logs.several import format_of
 from rotorfit.flights.columns import (
     clock_of,
@@ -60,11 +67,11 @@ _STATE = "(?:(?:twist|state|estimate|odom|drone|body|world|local|onboard|mocap|v
 
 _VELOCITIES = (
     {
-        axis: f"{_STATE}(?:v_?g?_?{axis}|(?:vel|velocity|speed|linear|lin)_?{axis}|(?:vel|velocity)_{i})"
+        axis: f"{_STATE}(?:v_?g?_?({axis})|(?:vel|velocity|speed|linear|lin)_?({axis})|(?:vel|velocity)_({i}))"
         for i, axis in enumerate("xyz")
     },
-    {"x": "v_?n|vel_?north", "y": "v_?e|vel_?east", "z": "v_?d|vel_?down"},
-    {"x": "vf", "y": "vl", "z": "ve|vu"},  # forward, left, up
+    {"x": "v_?(n)|vel_?(north)", "y": "v_?(e)|vel_?(east)", "z": "v_?(d)|vel_?(down)"},
+    {"x": "v(f)", "y": "v(l)", "z": "v(e|u)"},  # forward, left, up
 )
 
 _OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
@@ -94,7 +101,8 @@ class Recognised:
         channels: Quantity to channel.
         time: Its clock; None where none was found.
         table: Its table; None where nothing was recognised.
-        strays: Axes of a pose whose columns are named unlike the others, and may be of another sensor.
+        strays: Axes whose columns are named unlike the others: of a pose perhaps of another sensor, of commands
+            perhaps a setpoint of a height.
         others: Columns of its table that may be a position or a heading, too; the first of each family of names.
     """
 
@@ -106,8 +114,12 @@ class Recognised:
 
 
 def commands_in(log: Log) -> Recognised:
-    """Axis to column of the commands, by name."""
-    return _recognised(log, _commands)
+    """Axis to column of the commands, by name; z is a stray where x and y are named velocities, and it is not."""
+    found = _recognised(log, _commands)
+    names = {axis: plain_name(str(channel.source).rpartition(":")[2]) for axis, channel in found.channels.items()}
+    fast = {axis for axis, name in names.items() if re.search(rf"v(?:el)?_?{axis}(?:_|$)", name)}
+    height = {"x", "y"} <= fast and "z" not in fast and re.search(r"(?:^|_)z(?:_|$)", names.get("z", ""))
+    return replace(found, strays=("z",)) if height else found
 
 
 def velocities_as_commands(log: Log, pose: Recognised) -> Recognised:
@@ -178,7 +190,7 @@ def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
 
     def names_in(log: Log, table: Table) -> dict[str, str]:
         known = () if _asked(log, table) or _is_twist_of(commands, table) else _VELOCITIES
-        found = max((_named(table, family) for family in known), key=len, default={})
+        found = max((named_alike(table, family) for family in known), key=len, default={})
         free = {axis: name for axis, name in found.items() if source_of(log, table, name) not in taken}
         return free if {"x", "y"} <= free.keys() or "z" in free else {}
 
@@ -312,7 +324,7 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
     """Axis to column of the family of names (cmd_x, ux, vx_ref ...) that covers most axes, or of a Twist."""
     twist = {axis: f"(?:field_)?(?:twist_)?linear_{axis}" for axis in "xyz"}  # field: as rostopic echo -p has it
     twist |= {"yaw": "(?:field_)?(?:twist_)?angular_z"}
-    families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
+    families = [_family(table, word, speed) for word, speed in _COMMAND_FAMILIES]
     families.append(_named(table, {axis: f"(?:cmd|command)_?(?:vel_)?{i}" for i, axis in enumerate(AXES)}))
     sticks = _named(table, _STICKS)
     families += [sticks if {"x", "y"} <= sticks.keys() else {}, _named(table, _DEMAND)]
@@ -325,9 +337,19 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
     return max(families, key=len)
 
 
-def _family(word: str, speed: str) -> dict[str, str]:
-    """Patterns of the axes' names before or after a word that means command."""
+def _family(table: Table, word: str, speed: str) -> dict[str, str]:
+    """Axis to column with a word that means command before or after the axis.
+
+    Names that say velocity or rate come first: beside `cmd_vx` and `cmd_yaw_rate`, `cmd_x` and `cmd_yaw` are setpoints
+    of a position controller.
+    """
     axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
+    fast = _named(table, _with(word, {axis: f"v(?:el)?_?{axis}" for axis in "xyz"}))
+    rate = _named(table, _with(word, {"yaw": "(?:yaw|turn)_?rate|psi_?dot"}))
+    return _named(table, _with(word, axes)) | (fast if {"x", "y"} <= fast.keys() else {}) | rate
+
+
+def _with(word: str, axes: Mapping[str, str]) -> dict[str, str]:
     return {axis: f"{word}_?(?:{names})|(?:{names})_?{word}" for axis, names in axes.items()}
 
 
