@@ -426,8 +426,10 @@ def test_colons_in_the_names_of_columns_are_no_tables(tmp_path: Path) -> None:
 def test_a_draft_says_world_where_commands_do_not_turn_with_the_vehicle(tmp_path: Path) -> None:
     columns = {"time": T, **motion(world=True), **{f"cmd_{axis}": series for axis, series in COMMAND.items()}}
 
-    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+    text = draft_card(log_of(flight=columns))
+    card = loaded(text, tmp_path)
 
+    assert 'yaw = "yaw"  # EDIT: radians, or degrees and frame = "heading" in [command]' in text
     assert card.command_frame == "world"
     assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
         axis: (f"cmd_{axis}", 1) for axis in COMMAND

@@ -277,7 +277,7 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     if name:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
-    asked = _commanded(log, _answering(log))
+    asked = _doubting_radians(log, _commanded(log, _answering(log)))
     found, told = asked.found, asked.answers
     if told is None:
         return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
@@ -398,6 +398,19 @@ def _held_in_degrees(log: Log, asked: _Asked) -> _Asked:
         return asked
     fewer = _unlike(told) - _unlike(other.answers)
     return other if fewer > 0 or (fewer == 0 and told.frame == "world") else asked
+
+
+def _doubting_radians(log: Log, asked: _Asked) -> _Asked:
+    """The draft with a remark where commands are the world's, unless the heading is in degrees and hardly turns."""
+    yaw, told, motion = asked.found.pose.channels.get("yaw"), asked.answers, asked.motion
+    if yaw is None or yaw.unit or stated_unit(log, yaw) or told is None or motion is None:
+        return asked
+    if told.frame != "world" or "yaw" in asked.found.remarks:
+        return asked
+    if not turned_by_yaw(told) or not is_held_in_degrees(motion):
+        return asked
+    why = 'EDIT: radians, or degrees and frame = "heading" in [command]: the motion does not tell the two apart'
+    return replace(asked, found=_read(asked.found, why, yaw=yaw))
 
 
 def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
