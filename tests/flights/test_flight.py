@@ -384,11 +384,39 @@ def test_a_clock_that_starts_again_goes_on(length: float) -> None:
 
 
 @pytest.mark.parametrize("what", ["command", "pose"])
-def test_repeated_and_reversed_stamps_are_dropped_with_their_counts(what: str) -> None:
+@pytest.mark.parametrize("apart", [2, 6, 19])
+def test_samples_that_are_written_out_of_order_are_sorted(what: str, apart: int) -> None:
+    tables = {"command": commands(), "pose": poses()}
+    straight = flight_of(tables["command"], tables["pose"])
+    count = len(tables[what]["t"])
+    late = np.argsort(np.arange(count) + np.random.default_rng(0).uniform(0, apart, count))
+    tables[what] = rows(tables[what], late)
+
+    flight = flight_of(tables["command"], tables["pose"])
+
+    found = {code: count for code, count in counts(flight).items() if "stamps" in code}
+    assert list(found) == [f"{what}_stamps_sorted"]
+    for name in ("command_time", "command", "pose_time", "position", "yaw"):
+        np.testing.assert_array_equal(getattr(flight, name), getattr(straight, name))
+
+
+@pytest.mark.parametrize("back", [0.3, 0.9, 3.0])
+def test_a_clock_that_was_set_back_costs_what_it_goes_over_again(back: float) -> None:
+    pose = poses()
+    pose["t"] = np.where(np.arange(1200) < 600, pose["t"], pose["t"] - back + 0.003)
+
+    flight = flight_of(pose=pose)
+
+    assert counts(flight)["pose_stamps_reversed"] == round(back / 0.01) - 1
+    assert "pose_stamps_sorted" not in counts(flight)
+
+
+@pytest.mark.parametrize("what", ["command", "pose"])
+def test_stamps_that_repeat_or_are_far_back_are_dropped_with_their_counts(what: str) -> None:
     tables = {"command": commands(), "pose": poses()}
     stamps = tables[what]["t"]
     stamps[150] = stamps[149]
-    stamps[160:163] = stamps[100]
+    stamps[160:163] = stamps[20]
 
     flight = flight_of(tables["command"], tables["pose"])
 

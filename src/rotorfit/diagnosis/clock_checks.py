@@ -19,7 +19,7 @@ from rotorfit.flights.clocks.arrival import JITTER_SHARE, LEAST_JITTER
 from rotorfit.flights.clocks.two_clocks import ANSWER_HALF
 from rotorfit.flights.columns import split_source
 from rotorfit.flights.other_tables import sample_rows
-from rotorfit.flights.stamps import GAP_PERIODS, GAP_TOLERANCE, ClockDrift, Stamps, increasing, rate, stamps_of
+from rotorfit.flights.stamps import GAP_PERIODS, GAP_TOLERANCE, ClockDrift, Stamps, in_time, rate, stamps_of
 from rotorfit.flights.streams import recorder_clock
 
 
@@ -275,7 +275,7 @@ def _against_recorder(log: Log, time: Channel, channels: Mapping[str, Channel]) 
 
 
 def _length(stamps: Stamps) -> float:
-    there = stamps[increasing(stamps)]
+    there = stamps[in_time(stamps)]
     return float(there[-1] - there[0]) / 1e9
 
 

@@ -21,7 +21,7 @@ from rotorfit.flights.stamps import (
     MISSING_STAMP,
     Stamps,
     held,
-    increasing,
+    in_time,
     median_period,
     stamps_of,
     stray,
@@ -134,8 +134,8 @@ def sound_samples(clock: Stamps, values: Array) -> tuple[Stamps, Array]:
     clock, values = clock[good], values[good]
     alone = stray(clock)
     clock, values = clock[~alone], values[~alone]
-    ordered = increasing(clock)
-    return clock[ordered], values[ordered]
+    rows = in_time(clock)
+    return clock[rows], values[rows]
 
 
 def held_beside(log: Log, time: Channel, channel: Channel, stamps: Stamps) -> Array:

@@ -1,6 +1,6 @@
 """Clocks: stamps of a stream, order, repeats, jitter, gaps, and the relation of two clocks.
 
-`increasing` and `fresh` only look back, so that repairing a stream sample by sample gives the same as a whole flight.
+`increasing` and `fresh` only look back, as a live stream must; a file is sorted by `in_time`.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from rotorfit.core.card import Channel
 from rotorfit.core.errors import CardError
-from rotorfit.core.frames import Array, Mask
+from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.log import Log
 from rotorfit.flights.columns import SINCE_1970, raw_column, table_of
 
@@ -37,6 +37,10 @@ AHEAD, APART = 10**9, 3600 * 10**9
 
 FEW, FEWEST_REPEATS, TOGETHER = 0.15, 20, 50
 """Share below which what rounding does not do is chance; least number of pauses that decide; rows that are compared."""
+
+PASSED = 5
+"""Samples that a run of late ones in order goes over again where the clock was set back. Samples that were only written
+late come in any order, or fill the hole that they left."""
 
 ROUND = (2**32 * 10**3, 2**32 * 10**6, 43_200 * 10**9, 86_400 * 10**9)
 """After how long clocks start again [ns]: a counter of microseconds or milliseconds with 32 bits, and times of day."""
@@ -183,6 +187,37 @@ def increasing(stamps: Stamps) -> Mask:
     return keep
 
 
+def set_back(stamps: Stamps) -> Mask:
+    """Which stamps of a file no sorting can place, shape (N,).
+
+    They are more than a second earlier than one before them, or in a run of earlier ones in which the clock goes over
+    a stretch of time again.
+    """
+    latest = np.maximum.accumulate(stamps)
+    late = stamps < latest
+    out = np.asarray(latest - stamps > AHEAD)
+    starts = np.flatnonzero(late & ~np.append(False, late[:-1]))
+    if not starts.size:
+        return out
+    in_time, never = stamps[~late], np.iinfo(np.int64)
+    low = np.minimum.reduceat(np.where(late, stamps, never.max), starts)
+    high = np.maximum.reduceat(np.where(late, stamps, never.min), starts)
+    passed = np.searchsorted(in_time, high, side="right") - np.searchsorted(in_time, low)
+    back = np.append(np.diff(stamps) < 0, False) & np.append(late[1:], False)
+    in_order = np.add.reduceat(back, starts, dtype=np.int64) == 0
+    lengths = np.add.reduceat(late, starts, dtype=np.int64)
+    again = (np.minimum(passed, lengths) > PASSED) & (in_order | out[starts])
+    out[late] |= np.repeat(again, lengths)
+    return out
+
+
+def in_time(stamps: Stamps) -> Indices:
+    """Rows of a file in the order of their stamps, without those of `set_back` and those that repeat a stamp."""
+    rows = np.flatnonzero(~set_back(stamps))
+    rows = rows[np.argsort(stamps[rows], kind="stable")]
+    return np.asarray(rows[increasing(stamps[rows])])
+
+
 def fresh(values: Array) -> Mask:
     """Which rows of shape (N, K) differ from the row before in any column, shape (N,). The first of a run is kept."""
     keep = np.ones(len(values), dtype=np.bool_)
@@ -270,7 +305,7 @@ def median_period(stamps: Stamps) -> int | None:
 def rate(stamps: Stamps) -> Rate:
     """Rate, jitter, gaps and disorder of the recorded stamps of a stream, shape (N,) [ns]."""
     there = stamps[stamps != MISSING_STAMP]
-    ordered = there[increasing(there)]
+    ordered = there[in_time(there)]
     latest = np.maximum.accumulate(there)[:-1]
     period = median_period(ordered)
     steps = np.diff(ordered)

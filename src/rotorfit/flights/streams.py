@@ -37,6 +37,7 @@ from rotorfit.flights.stamps import (
     increasing,
     median_period,
     rounded_repeats,
+    set_back,
     stamps_of,
     stray,
 )
@@ -291,7 +292,7 @@ def numbers(stream: Stream, log: Log) -> Stream:
 
 
 def in_order(stream: Stream, log: Log) -> Stream:
-    """Drops samples with a stray stamp, and those that are not later than all before them.
+    """Sorts samples by their stamps; drops those with a stray one, those that no sorting can place, and repeats.
 
     Raises:
         FlightError: The clock runs backwards or stands still.
@@ -300,15 +301,13 @@ def in_order(stream: Stream, log: Log) -> Stream:
         stream, ~stray(stream.stamps), f"{stream.what}_stamps_stray", "are stamped far from their neighbours: dropped"
     )
     steps = np.diff(stream.stamps)
-    keep = increasing(stream.stamps)
-    back = np.zeros(len(keep), dtype=np.bool_)
-    back[1:] = stream.stamps[1:] < np.maximum.accumulate(stream.stamps)[:-1]
+    back = set_back(stream.stamps)
     if np.sum(steps < 0) > np.sum(steps > 0) or np.sum(back) > len(back) / 2:
         raise FlightError(
             f"{log.path}: the clock of the {stream.what}s runs backwards ({np.sum(steps < 0)} of {len(steps)} steps); "
             f"is `time` of [{stream.what}] the right column?"
         )
-    if np.sum(keep) < 2 and len(keep) > 1:
+    if len(back) > 1 and not np.any(steps):
         raise FlightError(
             f"{log.path}: the clock of the {stream.what}s stands still; is `time` of [{stream.what}] the right column "
             "(a header that nobody filled? try log_time)?"
@@ -316,7 +315,24 @@ def in_order(stream: Stream, log: Log) -> Stream:
     stream = keep_samples(
         stream, ~back, f"{stream.what}_stamps_reversed", "are stamped before their predecessors: dropped"
     )
+    stream = _sorted(stream)
     return keep_samples(stream, increasing(stream.stamps), f"{stream.what}_stamps_repeated", "repeat a stamp: dropped")
+
+
+def _sorted(stream: Stream) -> Stream:
+    """Puts samples that were written late where their stamps belong."""
+    late = int(np.sum(stream.stamps < np.maximum.accumulate(stream.stamps)))
+    if not late:
+        return stream
+    order = np.argsort(stream.stamps, kind="stable")
+    text = f"{late} of {len(order)} {stream.what}s are written after later ones: sorted by their stamps"
+    return replace(
+        stream,
+        stamps=stream.stamps[order],
+        values=stream.values[order],
+        until=stream.until[order],
+        notes=(*stream.notes, Note(f"{stream.what}_stamps_sorted", text, late)),
+    )
 
 
 def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:

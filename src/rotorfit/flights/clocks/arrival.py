@@ -20,7 +20,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
 from rotorfit.flights.clocks.lower_line import line_below
 from rotorfit.flights.columns import table_of
-from rotorfit.flights.stamps import MISSING_STAMP, Stamps, continued, rate, stamps_of
+from rotorfit.flights.stamps import MISSING_STAMP, Stamps, continued, rate, set_back, stamps_of
 
 FEWEST = 400
 """Least number of messages from which a rate is estimated."""
@@ -72,14 +72,15 @@ def straightened(arrival: Stamps) -> Straight | None:
     """Reconstructs the stamps of messages sent by a regular sender.
 
     Args:
-        arrival: In the order of sending, shape (N,) [ns]; missing and reversed stamps are kept.
+        arrival: Shape (N,) [ns], in the order of sending or nearly; missing and reversed stamps are kept.
 
     Returns:
         The stamps; None where the data do not show a regular sender with jittered arrivals: too few messages, little
         jitter, no bursts, or a lateness that drifts or persists.
     """
     rows = np.flatnonzero(arrival != MISSING_STAMP)
-    rows = rows[arrival[rows] >= np.maximum.accumulate(arrival[rows])] if rows.size else rows
+    rows = rows[~set_back(arrival[rows])] if rows.size else rows
+    rows = rows[np.argsort(arrival[rows], kind="stable")]
     if rows.size < FEWEST or rows.size < 0.99 * arrival.size:
         return None
     time = (arrival[rows] - arrival[rows[0]]) / 1e9

@@ -11,7 +11,7 @@ from rotorfit.core.log import Log
 from rotorfit.flights.clocks.lag_search import GriddedMotion, Witness
 from rotorfit.flights.columns import column, split_source
 from rotorfit.flights.other_tables import is_beside, own_clock
-from rotorfit.flights.stamps import MISSING_STAMP, Stamps, fresh, increasing, stamps_of
+from rotorfit.flights.stamps import MISSING_STAMP, Stamps, fresh, in_time, stamps_of
 from rotorfit.flights.streams import Stream
 
 HALF_WIDTH = 0.15
@@ -190,7 +190,7 @@ def _series(log: Log, stamps: Stamps, channels: Mapping[str, Channel]) -> tuple[
     shared = min(len(stamps), *(len(one) for one in values.values()))
     table = np.column_stack([one[:shared] for one in values.values()])
     rows = np.flatnonzero((stamps[:shared] != MISSING_STAMP) & np.any(np.isfinite(table), axis=1))
-    rows = rows[increasing(stamps[rows])] if rows.size else rows
+    rows = rows[in_time(stamps[rows])] if rows.size else rows
     rows = rows[fresh(table[rows])] if rows.size else rows
     return stamps[rows], {name: one[rows] for name, one in values.items()}
 

@@ -108,6 +108,7 @@ def on_the_recorders_clock(log: Log, card: Card) -> tuple[Log, tuple[Note, ...],
         rows = np.flatnonzero(
             (stamps != MISSING_STAMP) & (arrivals != MISSING_STAMP) & sample_rows(log, time, channels)
         )
+        rows = rows[np.argsort(arrivals[rows], kind="stable")]  # several writers may have exchanged messages
         found = correction(stamps[rows], arrivals[rows]) or (
             _shift(stamps[rows], arrivals[rows]) if by_recorder else None
         )
