@@ -227,6 +227,17 @@ def test_stamps_of_a_coarse_clock_are_told_and_widen_the_delay_by_their_step(tmp
     assert numbers(found["commands_by_row", None]["evidence"])[-1] == 100
 
 
+def test_a_second_flight_in_the_file_is_told(tmp_path: Path) -> None:
+    words = Csv(flown(two_sines, 20.0)).write(tmp_path)
+    log = Path(words[0])
+    header, *first = log.read_text().splitlines()
+    log.write_text("\n".join([header, *first, *first[: len(first) // 2]]) + "\n")
+
+    found = said("info", *words)["clock_restarts", None]
+    assert found["severity"] == "warning"
+    assert numbers(found["evidence"])[:4] == [len(first), 2, 1, len(first)]
+
+
 # Commands
 
 

@@ -140,6 +140,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     log, card, flight = recording.log, recording.card, recording.flight
     commands = stamps_of(log, card.command_time)[sample_rows(log, card.command_time, card.command)]
     poses = stamps_of(log, card.pose_time)[sample_rows(log, card.pose_time, card.pose)]
+    yield from _several(flight)
     yield from _command_gaps(flight)
     yield from _pose_gaps(flight)
     if flight.command_lateness:
@@ -157,6 +158,19 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
         yield from _corrected(flight) if corrected else _two_clocks(log, card)
     yield from _coarse(flight)
     yield from _stale(flight)
+
+
+def _several(flight: Flight) -> Iterator[Finding]:
+    """Recordings of a file that were left out."""
+    for note in flight.notes:
+        if note.code == "clock_restarts":
+            yield Finding(
+                "clock_restarts",
+                "warning",
+                note.text,
+                "the others are left out: what they hold tells nothing here",
+                "split the file where the clock starts again, and fit the flights together",
+            )
 
 
 def _command_gaps(flight: Flight) -> Iterator[Finding]:

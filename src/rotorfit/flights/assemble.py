@@ -23,6 +23,7 @@ from rotorfit.flights.command_hold import with_judged_hold
 from rotorfit.flights.low_pass import without_low_pass
 from rotorfit.flights.onboard_velocity import in_the_world, velocities_of, with_travel
 from rotorfit.flights.other_tables import sample_rows
+from rotorfit.flights.recordings import longest_recording
 from rotorfit.flights.several_files import bound
 from rotorfit.flights.stamps import Stamps, median_period, stamps_of
 from rotorfit.flights.streams import Stream, closed, commands_of, keep_samples, poses_of, reference_of
@@ -152,6 +153,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     channels = (("command", card.command), ("pose", card.pose), ("velocity", card.velocity))
     refuse_shared({f"[{part}] {axis}": one for part, known in channels for axis, one in known.items()}, str(log.path))
     units = unit_note(written, card)
+    log, chosen = longest_recording(log, card)
     log, stamped, unseen = with_sound_stamps(log, card)
     log, corrected, stamp_error = on_the_recorders_clock(log, card)
     log, clocks = on_one_clock(log, card)
@@ -174,6 +176,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     _check_duration(log, segments, pose_time)
     notes = (
         *([Note("units", units, 1)] if units else []),
+        *chosen,
         *stamped,
         *corrected,
         *_clock_notes(clocks, len(commands.stamps)),

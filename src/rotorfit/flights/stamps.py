@@ -38,6 +38,9 @@ AHEAD, APART = 10**9, 3600 * 10**9
 FEW, FEWEST_REPEATS, TOGETHER = 0.15, 20, 50
 """Share below which what rounding does not do is chance; least number of pauses that decide; rows that are compared."""
 
+GOES_ON = 20
+"""Fewest samples of a recording: fewer, before or after a clock starts again, are stray."""
+
 PASSED = 5
 """Samples that a run of late ones in order goes over again where the clock was set back. Samples that were only written
 late come in any order, or fill the hole that they left."""
@@ -178,6 +181,26 @@ def continued(stamps: Stamps) -> Stamps:
         length = next((one for one in ROUND if 0 <= int(steps[i]) + one < OVER_THE_END), 0)
         out[there[i + 1 :]] += length
     return out
+
+
+def restarts(stamps: Stamps) -> list[int]:
+    """Rows at which a clock starts again, as of a second recording in the file: it loses more than half of its time.
+
+    A clock that is set right loses less, and one that starts again at the end of its counter goes on.
+    """
+    rows = np.flatnonzero(stamps != MISSING_STAMP)
+    if not np.any(np.diff(stamps[rows]) < -AHEAD):
+        return []
+    rows = rows[~stray(stamps[rows])]
+    clock = continued(stamps[rows])
+    begin, found = 0, []
+    for i in (np.flatnonzero(np.diff(clock) < -AHEAD) + 1).tolist():
+        first, latest, after = int(clock[begin]), int(np.max(clock[begin:i])), clock[i : i + GOES_ON]
+        long = i - begin >= GOES_ON == len(after)
+        if long and clock[i] - first < (latest - first) / 2 and np.max(after) < latest:
+            begin = i
+            found.append(int(rows[i]))
+    return found
 
 
 def increasing(stamps: Stamps) -> Mask:

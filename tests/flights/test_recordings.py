@@ -1,0 +1,55 @@
+"""Several recordings in one file."""
+
+import numpy as np
+import pytest
+from test_flight import card_with, commands, counts, error_of, flight_of, log_of, poses, rows
+
+from rotorfit.flights.assemble import flight_from_log
+
+
+def appended(first: dict, second: dict) -> dict:
+    return {name: np.r_[first[name], second[name]] for name in first}
+
+
+@pytest.mark.parametrize("longer_first", [True, False])
+def test_the_longest_recording_is_taken_and_not_spliced(longer_first: bool) -> None:
+    short = rows(commands(), slice(80)), rows(poses(), slice(500))
+    long = commands(), poses()
+    first, second = (long, short) if longer_first else (short, long)
+    alone = flight_of(*long)
+
+    flight = flight_of(appended(first[0], second[0]), appended(first[1], second[1]))
+
+    assert counts(flight)["clock_restarts"] == 2
+    assert not {code for code in counts(flight) if "reversed" in code or "sorted" in code}
+    np.testing.assert_array_equal(flight.position, alone.position)
+    np.testing.assert_array_equal(flight.command, alone.command)
+
+
+def test_recordings_of_commands_and_poses_that_do_not_match_are_refused() -> None:
+    said = error_of(log_of(appended(commands(), commands()), poses()))
+
+    assert "among the commands 1 times and among the poses 0 times" in said
+    assert "split" in said
+
+
+def test_a_clock_that_is_set_back_does_not_end_the_recording() -> None:
+    tables = commands(), poses()
+    for table in tables:
+        table["t"] = np.where(table["t"] < 5, table["t"], table["t"] - 2)
+
+    assert "clock_restarts" not in counts(flight_from_log(log_of(*tables), card_with()))
+
+
+def test_tables_beside_the_poses_are_cut_with_them() -> None:
+    def beside(pose: dict) -> dict:
+        return {name: pose[name] for name in ("t", "z", "yaw")}
+
+    short, long = (rows(commands(), slice(80)), rows(poses(), slice(500))), (commands(), poses())
+    long[1]["z"] = long[1]["z"] + 1
+    pose, cmd = appended(short[1], long[1]), appended(short[0], long[0])
+    card = card_with(pose={"z": "beside:z", "yaw": "beside:yaw"})
+
+    flight = flight_from_log(log_of(cmd, pose, beside=beside(pose)), card)
+
+    assert np.min(flight.position[:, 2]) > 1.5
