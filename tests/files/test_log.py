@@ -180,6 +180,35 @@ def test_a_cut_last_line_of_a_csv_is_left_out_with_a_note(cut: str, tmp_path: Pa
     assert len(log.notes) == 1
 
 
+@pytest.mark.parametrize("place", [3, 150, 399])
+@pytest.mark.parametrize("cell", ["ERR", "#N/A", "1.2.3"])
+def test_a_cell_of_text_among_numbers_costs_itself_only(place: int, cell: str, tmp_path: Path) -> None:
+    cells = [[f"{i}", f"{i / 7:.4f}", "2024-05-01 10:00:00.25"] for i in range(400)]
+    cells[place] = [cell] * 3
+    file = tmp_path / "a.csv"
+    file.write_text("n,x,day\n" + "\n".join(",".join(row) for row in cells) + "\n")
+
+    log = read(file)
+
+    columns = log.tables["a"].columns
+    assert list(columns) == ["n", "x", "day"]
+    for values in columns.values():
+        assert np.flatnonzero(np.isnan(values)).tolist() == [place]
+    assert columns["x"][200] == 28.5714
+    assert log.notes == tuple(f"1 of 400 cells of {name} hold text, as {cell!r}: blank" for name in columns)
+
+
+def test_a_line_that_repeats_the_names_is_left_out(tmp_path: Path) -> None:
+    rows = "".join(f"{i},{i / 8}\n" for i in range(50))
+    file = tmp_path / "a.csv"
+    file.write_text(("t,cmd x\n" + rows) * 3)
+
+    log = read(file)
+
+    assert len(log.tables["a"].columns["cmd x"]) == 150
+    assert log.notes == ("the names are repeated in 2 lines: left out",)
+
+
 def test_torn_lines_and_zero_bytes_inside_a_csv_are_left_out_with_a_note(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(b"t,x\n0,1\n1,2\n2,\0\0\0\n3,4,5\n6\n\n7,8\n")

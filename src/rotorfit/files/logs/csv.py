@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from rotorfit.core.display import counted
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Column, Table
 from rotorfit.files.logs.content import Content, check_width, listed, one_line
@@ -35,6 +36,8 @@ _LARGEST = 1 << 28  # bytes of a text, which takes four times as much while it i
 _MOST_CELLS = 1 << 25
 
 _SAMPLE = 100
+
+_SPOILT = 0.05  # share of the cells of a column that may hold text among numbers
 
 _EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
 
@@ -198,6 +201,10 @@ def _sheet(
     first = body[lines.starts[lines.filled][0] :][: lines.lengths[lines.filled][0]].strip(b"\r\n")
     if lines.cells[lines.filled][0] == len(names) + 1 and first.endswith(separator.encode()):
         names = [*names, ""]  # loggers that end every row, but not the header, with a separator
+    again = lines.equal_to(body, data[data.rfind(b"\n", 0, max(part[0] - 1, 0)) + 1 : part[0]].strip())
+    if again.any():
+        notes.append(f"the names are repeated in {counted(int(again.sum()), 'line')}: left out")
+        lines.filled &= ~again
     whole = lines.filled & (lines.cells == len(names)) & ~lines.zeros
     if not whole.any():
         width = int(lines.cells[lines.filled][0])
@@ -207,7 +214,11 @@ def _sheet(
     if len(torn):
         line = data.count(b"\n", 0, part[0] + int(lines.starts[torn[0]])) + 1
         notes.append(f"{len(torn)} torn lines left out, the first is line {line} of the file")
-    rows = body if not len(torn) else np.frombuffer(body, np.uint8)[np.repeat(whole, lines.lengths)].tobytes()
+    rows = (
+        body
+        if not len(torn) and not again.any()
+        else np.frombuffer(body, np.uint8)[np.repeat(whole, lines.lengths)].tobytes()
+    )
     return _Sheet(names, separator, lines.quoted, _with_points(rows, separator))
 
 
@@ -235,6 +246,17 @@ class _Lines:
         self.filled = np.ones(len(after), bool)
         for row in np.flatnonzero((self.cells == 1) & ~self.zeros):
             self.filled[row] = bool(text[self.starts[row] : after[row]].strip())
+
+    def equal_to(self, text: bytes, line: bytes) -> npt.NDArray[np.bool_]:
+        """Lines that hold just this one, shape (N,)."""
+        found = np.zeros(len(self.starts), bool)
+        place = text.find(line) if line else -1
+        while place >= 0:
+            row = int(np.searchsorted(self.starts, place, side="right")) - 1
+            start = int(self.starts[row])
+            found[row] = text[start : start + int(self.lengths[row])].strip() == line
+            place = text.find(line, place + len(line))
+        return found
 
 
 def _places(text: bytes, mark: str, quoted: bool) -> npt.NDArray[np.int32]:
@@ -332,19 +354,28 @@ def _with_points(rows: bytes, separator: str) -> bytes:
 
 
 def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[str, Column]:
-    """Columns of numbers by name; the others are listed in a note."""
+    """Columns of numbers by name; the others, and cells of text among numbers, are listed in notes."""
+    import polars as pl
+
     columns: dict[str, Column] = {}
     text, again, unnamed = [], [], 0
     for name, series in zip(names, frame.iter_columns(), strict=True):
-        values = _numbers(series)
+        cells = _blanked(series) if series.dtype == pl.String else series
+        parsed = _parsed(cells) if series.dtype == pl.String else series
+        values = None if parsed is None else _numbers(parsed)
         if not name:
             unnamed += values is not None and not np.isnan(values.astype(np.float64)).all()
         elif name in columns:
             again.append(name)
-        elif values is None:
+        elif parsed is None or values is None:
             text.append(name)
         else:
             columns[name] = values
+            if spoilt := parsed.null_count() - cells.null_count():
+                first = cells.filter(parsed.is_null() & cells.is_not_null())[0]
+                notes.append(
+                    f"{spoilt} of {len(cells)} cells of {listed([name])} hold text, as {one_line(first)!r}: blank"
+                )
     if text:
         notes.append(f"columns left out because they hold text: {listed(text)}")
     if again:
@@ -355,20 +386,9 @@ def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[
 
 
 def _numbers(series: "pl.Series") -> Column | None:
-    """Values of a column: integers as int64, booleans as bool, empty cells as NaN; None for text."""
+    """Values of a parsed column: integers as int64, booleans as bool, empty cells as NaN; None for other types."""
     import polars as pl
 
-    if series.dtype == pl.String:
-        if len(series) > _SAMPLE and _numbers(series.head(_SAMPLE)) is None:  # spares copies of long texts
-            return None
-        series = series.str.strip_chars()
-        series = series.set(series.is_in(_EMPTY).fill_null(False), None)
-        folded = series.str.to_lowercase()
-        if folded.is_in(["true", "false"]).all() and not series.null_count():
-            return (folded == "true").to_numpy(writable=True)
-        whole = series.null_count()
-        series = next((parsed for parsed in _parsed(series) if parsed.null_count() == whole), series)
-        series = series if series.dtype != pl.String or whole else _dates(series)
     if series.dtype in (pl.Int64, pl.Boolean) and not series.null_count():
         return series.to_numpy(writable=True)
     if series.dtype.is_numeric() or series.dtype == pl.Boolean:
@@ -376,25 +396,39 @@ def _numbers(series: "pl.Series") -> Column | None:
     return None
 
 
-def _parsed(text: "pl.Series") -> "list[pl.Series]":
-    """A column of text as integers and as floats, null where a cell is neither."""
+def _blanked(text: "pl.Series") -> "pl.Series":
+    """Cells without the blanks around them, null where they are empty."""
+    text = text.str.strip_chars()
+    return text.set(text.is_in(_EMPTY).fill_null(False), None)
+
+
+def _parsed(text: "pl.Series", spoilt: float = _SPOILT) -> "pl.Series | None":
+    """A column of text as numbers, null where a cell is empty or, in a share of them, text; None if more are text."""
     import polars as pl
 
-    return [text.cast(pl.Int64, strict=False), text.cast(pl.Float64, strict=False)]
+    if len(text) > _SAMPLE and _parsed(text.head(_SAMPLE), 0.5) is None:  # spares copies of long texts
+        return None
+    empty = text.null_count()
+    folded = text.str.to_lowercase()
+    if folded.is_in(["true", "false"]).all() and not empty:
+        return folded == "true"
+    if (whole := text.cast(pl.Int64, strict=False)).null_count() == empty:
+        return whole
+    few = empty + spoilt * (len(text) - empty)
+    rest = (parse(text) for parse in (lambda cells: cells.cast(pl.Float64, strict=False), _dates))
+    return next((parsed for parsed in rest if parsed.null_count() <= few), None)
 
 
 def _dates(text: "pl.Series") -> "pl.Series":
-    """Dates as nanoseconds since 1970, times of day as nanoseconds since midnight; other text unchanged."""
+    """Dates as nanoseconds since 1970, times of day as nanoseconds since midnight; null for other text."""
     import polars as pl
 
     days, clock, zone = (text.str.extract(_DATE, group) for group in (1, 2, 3))
-    if clock.null_count() or days.null_count() not in (0, len(days)):
-        return text
+    if days.null_count() not in (clock.null_count(), len(days)):  # some with a day, some without
+        return pl.Series([None] * len(text), dtype=pl.Int64)
     days = days.str.replace(r"^(\d\d)\.(\d\d)\.(\d{4})$", "$3-$2-$1")
     joined = days.fill_null("1970-01-01") + "T" + clock.str.replace(",", ".", literal=True)
     stamps = joined.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False).to_physical()
-    if stamps.null_count():
-        return text
     digits = zone.str.replace(":", "").str.extract(r"^[+-](\d{4})$", 1).cast(pl.Int64).fill_null(0)
     ahead = (digits // 100 * 3600 + digits % 100 * 60) * (
         1 - 2 * zone.str.starts_with("-").fill_null(False).cast(pl.Int64)
