@@ -2,9 +2,11 @@
 
 import bz2
 import os
+import shutil
 import sqlite3
 import struct
 import zlib
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -362,7 +364,28 @@ def test_nothing_is_written_beside_a_log(tmp_path: Path) -> None:
     log = read(path)
 
     assert (sorted(entry.name for entry in tmp_path.rglob("*")), path.read_bytes()) == before
-    assert "never merged" in log.notes[0]
+    assert "cannot be merged" in log.damage[0]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_messages_in_a_write_ahead_log_are_read(share: float, tmp_path: Path) -> None:
+    live, crashed = write_storage(tmp_path / "live.db3", recording()), tmp_path / "crashed.db3"
+    with closing(sqlite3.connect(live)) as database:
+        messages = database.execute("SELECT * FROM messages").fetchall()
+        database.execute("DELETE FROM messages WHERE id > ?", [round(share * len(messages))])
+        database.commit()
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA wal_autocheckpoint = 0")
+        database.executemany("INSERT OR IGNORE INTO messages VALUES (?, ?, ?, ?)", messages)
+        database.commit()
+        for end in ("", "-wal"):
+            shutil.copyfile(f"{live}{end}", f"{crashed}{end}")
+
+    log = read(crashed)
+
+    np.testing.assert_array_equal(as_recording(log).pose, recording().pose)
+    assert (log.notes, log.damage) == (("crashed.db3-wal was merged in a copy",), ())
+    assert sorted(entry.name for entry in tmp_path.glob("crashed*")) == ["crashed.db3", "crashed.db3-wal"]
 
 
 def survives(content: bytes) -> None:

@@ -91,14 +91,11 @@ def _plain(file: Path, collector: Collector) -> Iterator[Path]:
 
 def _collect(named: Path, file: Path, collector: Collector) -> None:
     """Passes all messages of an SQLite file to a collector; `named` is the user's name for it."""
-    if Path(f"{named}-wal").is_file():
-        collector.note(
-            f"{named.name}-wal was never merged, its messages are not read; open the bag once with `ros2 bag info`"
-        )
     try:
         # Immutable: nothing is written beside the log, and no journal is replayed into it.
         with (
-            _whole_pages(named, file, collector) as whole,
+            _whole_pages(named, file, collector) as pages,
+            _merged(named, pages, collector) as whole,
             closing(sqlite3.connect(f"{whole.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database,
         ):
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, BLOCK_LIMIT)
@@ -136,6 +133,29 @@ def _whole_pages(named: Path, file: Path, collector: Collector) -> Iterator[Path
             stream.seek(28)
             stream.write((size // page).to_bytes(4, "big"))  # SQLite opens no file shorter than it claims
         yield whole
+
+
+@contextmanager
+def _merged(named: Path, file: Path, collector: Collector) -> Iterator[Path]:
+    """Yields the file itself or, if a crash left messages in a write-ahead log beside it, a copy that has them, too.
+
+    Source: sqlite.org/wal.html, 4.
+    """
+    log = Path(f"{named}-wal")
+    if not log.is_file() or not log.stat().st_size:
+        yield file
+        return
+    with TemporaryDirectory(prefix="rotorfit-") as folder:
+        copy = Path(shutil.copyfile(file, Path(folder) / "merged.db3"))
+        shutil.copyfile(log, f"{copy}-wal")
+        with closing(sqlite3.connect(copy)) as database:
+            _, _, pages = database.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+        merged = pages > 0 and copy.stat().st_size <= file.stat().st_size + log.stat().st_size
+        if merged:
+            collector.note(f"{log.name} was merged in a copy")
+        else:
+            collector.damaged(f"{log.name} cannot be merged: its messages are lost")
+        yield copy if merged else file
 
 
 def _check_schema(named: Path, database: sqlite3.Connection) -> None:
