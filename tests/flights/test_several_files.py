@@ -12,6 +12,7 @@ from flights import steps
 from rotorfit.app.cli import main
 from rotorfit.app.workflows import fit_logs, training_flights
 from rotorfit.core.errors import CardError, LogError
+from rotorfit.core.log import Log
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import parse_log
 from rotorfit.files.logs import read
@@ -68,6 +69,24 @@ def test_tables_of_one_name_are_told_apart_by_their_files() -> None:
     assert list(log.tables) == ["/cmd", "one/tf", "two/tf"]
     assert {name: table.name for name, table in log.tables.items()} == {name: name for name in log.tables}
     assert set(log.file_of.values()) == {"one.bag", "two.bag"}
+    assert log.notes == ("in more than one file, so a card must say from which: one/tf, two/tf",)
+
+
+def test_files_of_a_recorder_that_follow_each_other_are_one_recording() -> None:
+    def part(name: str, start: int, **more: dict) -> Log:
+        cmd, pose = ({"log_time": start + np.arange(len(table["t"]))} | table for table in (COMMAND, POSE))
+        return log_of(name, {"/cmd": cmd, "/pose": pose} | more)
+
+    first, second = part("a_0.bag", 0), part("a_1.bag", 10, **{"/late": {"log_time": np.array([12])}})
+
+    log = join_logs([first, second])
+
+    assert list(log.tables) == ["/cmd", "/pose", "/late"]
+    assert log.tables["/pose"].columns["log_time"].tolist() == [0, 1, 2, 3, 10, 11, 12, 13]
+    assert (log.format, log.file_of) == (first.format, {})
+    assert log.notes == ("one recording in 2 files that follow each other: a_0.bag, a_1.bag",)
+    at_once = join_logs([first, part("b.bag", 1)])
+    assert list(at_once.tables) == ["a_0/cmd", "a_0/pose", "b/cmd", "b/pose"]
 
 
 def test_a_card_may_name_the_same_column_in_two_files() -> None:

@@ -58,7 +58,7 @@ class Log:
         attached: Texts that `rotorfit fly` wrote beside the samples: `plan` and `card` (TOML), `link`, `rotorfit`
             (version).
         events: Events that `rotorfit fly` recorded in flight, in order.
-        file_of: Table to its file where several files were joined; else empty.
+        file_of: Table to its file where several files were joined; else empty, also for parts of one recording.
         retimed: Table and column of a clock to the stamps that replace it, shape (N,) [ns]: shifted onto another clock,
             or corrected by arrival times. Empty as read.
         damage: What was lost because the file is damaged or cut short, one line each.
