@@ -200,6 +200,14 @@ def test_a_cell_of_text_among_numbers_costs_itself_only(place: int, cell: str, t
     assert log.notes == tuple(f"1 of 400 cells of {name} hold text, as {cell!r}: blank" for name in columns)
 
 
+@pytest.mark.parametrize("text", ["v1.13.2", "192.168.0.1", "a.9.csv", "01.05.2024 12:00:00,05"])
+def test_points_in_a_column_of_text_are_no_decimal_points(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("t;note;x\n" + "".join(f"{i};{text};{i},25\n" for i in range(50)))
+
+    assert read(file).tables["a"].columns["x"].tolist() == [i + 0.25 for i in range(50)]
+
+
 def test_a_line_that_repeats_the_names_is_left_out(tmp_path: Path) -> None:
     rows = "".join(f"{i},{i / 8}\n" for i in range(50))
     file = tmp_path / "a.csv"

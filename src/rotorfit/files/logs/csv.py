@@ -346,11 +346,17 @@ def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
 
 
 def _with_points(rows: bytes, separator: str) -> bytes:
-    """Replaces decimal commas by points, if the first rows have them and no points but those of dates and times."""
-    sample = re.sub(_DAY_FIRST.encode(), b"", rows[:_BLOCK])
-    if separator != "," and re.search(rb"\d,\d", sample) and not re.search(rb"(?<!:\d)\d\.\d", sample):
-        return rows.replace(b",", b".")
-    return rows
+    """Replaces decimal commas by points, if numbers in the first rows have commas, and none has a point."""
+    sample = rows[:_BLOCK]
+    if separator == "," or b"," not in sample:
+        return rows
+    commas, points = (
+        re.search(
+            rf'(?:\A|[{separator}\n])[" ]*[+-]?\d*{sign}\d+(?:[eE][+-]?\d+)?[" ]*[{separator}\r\n]'.encode(), sample
+        )
+        for sign in (",", r"\.")
+    )
+    return rows.replace(b",", b".") if commas and not points else rows
 
 
 def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[str, Column]:
