@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.core.log import Table
+from rotorfit.core.card import Channel
+from rotorfit.core.log import Log, Table
 from rotorfit.files.logs import read
+from rotorfit.flights.stamps import stamps_of
 
 START = datetime(2024, 5, 1, 12, tzinfo=UTC)
 STEPS = [START + timedelta(milliseconds=50 * k) for k in range(40)]
@@ -51,6 +53,21 @@ def test_times_of_day_are_nanoseconds_since_midnight(tmp_path: Path) -> None:
     table = table_of(tmp_path, "time,x", [f"{step:%H:%M:%S.%f},1.5" for step in STEPS])
 
     assert table.columns["time"].tolist() == [each - NANOSECONDS[0] + 12 * 3600 * 10**9 for each in NANOSECONDS]
+
+
+def test_stamps_in_two_columns_come_as_one_where_poses_and_commands_have_rows_of_their_own(tmp_path: Path) -> None:
+    parts = [(str(stamp // 10**9), str(stamp % 10**9), str(k)) for k, stamp in enumerate(NANOSECONDS)]
+    rows = [",".join([*part, "", "", ""] if k % 2 else ["", "", "", *part]) for k, part in enumerate(parts)]
+    table = table_of(
+        tmp_path, "pose.stamp.sec,pose.stamp.nanosec,x,cmd.header.stamp.secs,cmd.header.stamp.nsecs,u", rows
+    )
+
+    stamps = table.columns["cmd.header.stamp"]
+    assert np.isnan(stamps[1::2]).all()
+    np.testing.assert_allclose(stamps[::2], NANOSECONDS[::2], rtol=0, atol=256)
+    np.testing.assert_allclose(table.columns["pose.stamp"][1::2], NANOSECONDS[1::2], rtol=0, atol=256)
+    log = Log(tmp_path / "a.csv", "csv", "", {"flight": table}, {})
+    assert np.sum(stamps_of(log, Channel("cmd.header.stamp")) == np.nan_to_num(stamps).astype(np.int64)) == 20
 
 
 @pytest.mark.parametrize("names", ["header.stamp.secs,header.stamp.nsecs", "header.stamp.sec,header.stamp.nanosec"])

@@ -114,8 +114,8 @@ class ClockDrift:
 def stamps_of(log: Log, time: Channel) -> Stamps:
     """Stamps of a stream in nanoseconds.
 
-    Stamps in `log.retimed` are returned unchanged. Otherwise, without a unit, integers are nanoseconds where the column
-    is a `header.stamp` or `log_time`, or exceeds 1e15; everything else is seconds.
+    Stamps in `log.retimed` are returned unchanged. Otherwise, without a unit, they are nanoseconds where two of these
+    hold: they are integers, the column is a `header.stamp` or `log_time`, they exceed 1e15; everything else is seconds.
 
     Args:
         log: Log that holds the column.
@@ -135,7 +135,8 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
     finite = np.isfinite(raw)
     sizes = np.abs(np.where(finite, raw, 0).astype(np.float64))
     of_message = name.endswith("header.stamp") or name == "log_time"
-    unit = time.unit or ("ns" if whole and (of_message or np.max(sizes, initial=0.0) > 1e15) else "s")
+    large = bool(np.any(finite)) and float((np.max if whole else np.median)(sizes[finite])) > 1e15
+    unit = time.unit or ("ns" if (whole + of_message + large) > 1 else "s")
     factor = _NS[unit]
     in_range = finite & (sizes * abs(time.scale) + abs(time.offset) < 2.0**62 / factor)
     if np.sum(in_range) < np.sum(finite) / 2:

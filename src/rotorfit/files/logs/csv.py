@@ -139,9 +139,17 @@ def with_stamps(columns: dict[str, Column]) -> dict[str, Column]:
             part = columns.get(stem + rest)
             if part is None or not name.endswith((f".{whole}", f"_{whole}")) or stem[:-1] in {"", *columns}:
                 continue
-            if seconds.dtype == part.dtype == np.int64:
-                stamps[stem[:-1]] = seconds * 1_000_000_000 + part
+            if _whole(seconds) and _whole(part):
+                stamps[stem[:-1]] = seconds * 1_000_000_000 + part  # of float64 where cells are blank: within 256 ns
     return stamps | columns
+
+
+def _whole(values: Column) -> bool:
+    """Whether a column holds whole numbers, or none in some cells."""
+    if values.dtype != np.float64:
+        return bool(values.dtype == np.int64)
+    there = values[np.isfinite(values)]
+    return bool(there.size and np.all(there == np.round(there)))
 
 
 def check_cells(path: Path, count: int) -> None:
