@@ -86,3 +86,27 @@ def test_comments_above_the_names_are_passed_over_and_names_in_a_comment_are_nam
 
     assert list(table.columns) == ["time", "x"]
     np.testing.assert_array_equal(table.columns["x"], np.arange(40))
+
+
+ROWS = [f"{k / 8};{k};{-k}" for k in range(40)]
+
+
+@pytest.mark.parametrize("units", ["s;m;", "[s];[m];[-]"])
+def test_a_row_of_units_below_the_names_is_left_out(units: str, tmp_path: Path) -> None:
+    table = table_of(tmp_path, f"time;x;y\n{units}", ROWS)
+
+    assert table.columns["y"].tolist() == [-k for k in range(40)]
+    assert read(tmp_path / "flight.csv").notes == (
+        f"the row below the names holds no number, so it is left out as units: {units.replace(';', ', ')}",
+    )
+
+
+@pytest.mark.parametrize(("above", "end"), [("sep=;\r\n", "\r\n"), ("", "\r"), ("# a log\r", "\r")])
+def test_a_spreadsheets_first_line_and_line_ends_are_understood(above: str, end: str, tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_bytes((above + end.join(["time;x;y", *ROWS, ""])).encode())
+
+    log = read(path)
+
+    assert log.tables["flight"].columns["time"].tolist() == [k / 8 for k in range(40)]
+    assert log.notes == ()

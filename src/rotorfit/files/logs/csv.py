@@ -75,14 +75,25 @@ def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for 
     """Whether the text begins like a CSV: a row of names (or numbers), and below it cells with a number among them."""
     if head.startswith(_UTF16_MARKS):
         return True
-    head = head.removeprefix(UTF8_MARK)
+    head = _with_line_ends(head.removeprefix(UTF8_MARK))
     start, end = _header(head)
-    lines = [head[start:end], *(line for line in head[end:].split(b"\n")[:100] if line.strip())][:2]
+    lines = [head[start:end], *(line for line in head[end:].split(b"\n")[:100] if line.strip())][:3]
     text = [line.decode("utf-8", errors="replace") for line in lines if line.strip()]
     if not text or not all(char.isprintable() or char in "\t\r" for line in text for char in line):
         return False
     names, *rows = (cells(line, separator_of(text[0])) for line in text)
-    return len(names) > 1 and all(len(row) > 1 and any(map(_is_value, row)) for row in rows)
+    first = rows[1:] if len(rows) > 1 and _are_units(rows[0], names) else rows[:1]
+    return len(names) > 1 and all(len(row) > 1 and any(map(_is_value, row)) for row in first)
+
+
+def _with_line_ends(data: bytes) -> bytes:
+    """A text whose lines end with a line feed, those of old spreadsheets end with a carriage return."""
+    return data if b"\n" in data else data.replace(b"\r", b"\n")
+
+
+def _are_units(row: list[str], names: list[str]) -> bool:
+    """Whether the row below the names has units: as many cells, and no number."""
+    return len(row) == len(names) and any(row) and not any(map(_is_value, row))
 
 
 def _is_value(cell: str) -> bool:
@@ -99,6 +110,8 @@ def _header(data: bytes) -> tuple[int, int]:
             start += 1
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
+        if re.fullmatch(rb"sep=.\s*", data[start:end]):  # a spreadsheet's
+            continue
         if not data[start:end].startswith(_COMMENTS):
             break
         while data[start : start + 1] in _COMMENTS or data[start : start + 1] == b" ":
@@ -126,6 +139,11 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
         raise LogError(f"{path}: the header row cannot be understood; check its separators and quotation marks")
     if all(NUMBER.fullmatch(name) for name in names):
         raise LogError(f"{path}: the first line holds numbers where the columns' names belong; add a header row")
+    units_end = data.find(b"\n", end + 1)
+    units = cells(data[end + 1 : units_end].decode(), separator)
+    if units_end > 0 and _are_units(units, names):
+        notes.append(f"the row below the names holds no number, so it is left out as units: {listed(units)}")
+        end = units_end
     columns = with_stamps(columns_below(path, data, (end + 1, len(data)), names, separator, notes))
     return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
 
@@ -168,7 +186,7 @@ def text_of(path: Path) -> bytes:
         raise LogError(
             f"{path}: more than {_LARGEST >> 20} MiB of text; cut the log to the flight that you need, or give Parquet"
         )
-    data = path.read_bytes().removeprefix(UTF8_MARK)
+    data = _with_line_ends(path.read_bytes().removeprefix(UTF8_MARK))
     _check_text(path, data)
     return data
 
