@@ -25,7 +25,15 @@ def table_of(folder: Path, head: str, rows: list[str]) -> Table:
 @pytest.mark.parametrize(
     ("zone", "form"),
     [
-        *((UTC, form) for form in ("%Y-%m-%dT%H:%M:%S.%fZ", "%Y-%m-%d %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f")),
+        *(
+            (UTC, form)
+            for form in (
+                "%Y-%m-%dT%H:%M:%S.%fZ",
+                "%Y-%m-%d %H:%M:%S.%f",
+                "%Y/%m/%d %H:%M:%S.%f",
+                "%d.%m.%Y %H:%M:%S.%f",
+            )
+        ),
         (timezone(timedelta(hours=-3, minutes=-30)), ""),
     ],
 )
@@ -110,3 +118,12 @@ def test_a_spreadsheets_first_line_and_line_ends_are_understood(above: str, end:
 
     assert log.tables["flight"].columns["time"].tolist() == [k / 8 for k in range(40)]
     assert log.notes == ()
+
+
+def test_dates_of_another_form_are_told_as_such(tmp_path: Path) -> None:
+    table_of(tmp_path, "time,x,mode", [f"05/01/2024 10:00:{k:02d},{k},up" for k in range(40)])
+
+    assert read(tmp_path / "flight.csv").notes == (
+        "columns left out because they hold text: mode",
+        "columns left out because their dates are not as 2024-05-01 12:00:00.050: time",
+    )

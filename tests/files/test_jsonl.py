@@ -159,3 +159,10 @@ def test_a_flight_is_that_of_the_same_log_as_csv(tmp_path: Path) -> None:
     assert draft_card(one) == draft_card(other).replace("jsonl", "csv")
     for name, values in one.tables["flight"].columns.items():
         np.testing.assert_array_equal(other.tables["flight"].columns[name], values)
+
+
+def test_the_first_line_may_have_no_number(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    path.write_text('{"pilot": "me"}\n' + "".join(f'{{"t": {i}}}\n' for i in range(5)))
+
+    assert np.nan_to_num(read(path).tables["a"].columns["t"], nan=-1).tolist() == [-1, 0, 1, 2, 3, 4]

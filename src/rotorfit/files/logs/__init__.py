@@ -20,6 +20,7 @@ from rotorfit.files.kinds import text_kind, told_instead
 from rotorfit.files.logs.content import Content, check_width, one_line
 from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import join_logs, parts_of
+from rotorfit.files.logs.unknown import told_unknown
 
 __all__ = ["FORMATS", "HEAD", "format_of", "read"]
 
@@ -71,9 +72,7 @@ def read(path: str | Path, tables: Collection[str] | None = None, progress: Prog
         )
     if kind := text_kind(head):
         raise LogError(told_instead(path, kind, "log"))
-    raise LogError(
-        f"{path}: of no known format; `rotorfit formats` lists what can be read, and a CSV needs a header row of names"
-    )
+    raise LogError(f"{path}: {told_unknown(head)}")
 
 
 def format_of(path: Path, head: bytes) -> str:

@@ -45,9 +45,13 @@ _COMMENTS = (b"#", b"%")
 
 _DAY_FIRST = r"\d\d\.\d\d\.\d{4}"
 
-_DATE = rf"^(?:(\d{{4}}-\d\d-\d\d|{_DAY_FIRST})[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{{1,9}})?)(Z|[+-]\d\d:?\d\d)?$"
+_DATE = rf"^(?:(\d{{4}}[-/]\d\d[-/]\d\d|{_DAY_FIRST})[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{{1,9}})?)(Z|[+-]\d\d:?\d\d)?$"
+
+_OTHER_DATE = re.compile(r"\d{1,4}[./-]\d{1,2}[./-]\d{1,4}\b.*\d:\d\d")
 
 _STAMP_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
+
+_JSON = re.compile(r"\s*(\{|\[\s*[\[{])")
 
 UTF8_MARK = b"\xef\xbb\xbf"
 
@@ -79,7 +83,11 @@ def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for 
     start, end = _header(head)
     lines = [head[start:end], *(line for line in head[end:].split(b"\n")[:100] if line.strip())][:3]
     text = [line.decode("utf-8", errors="replace") for line in lines if line.strip()]
-    if not text or not all(char.isprintable() or char in "\t\r" for line in text for char in line):
+    if (
+        not text
+        or _JSON.match(text[0])
+        or not all(char.isprintable() or char in "\t\r" for line in text for char in line)
+    ):
         return False
     names, *rows = (cells(line, separator_of(text[0])) for line in text)
     first = rows[1:] if len(rows) > 1 and _are_units(rows[0], names) else rows[:1]
@@ -322,7 +330,7 @@ def _drop_cut_value(text: bytes, lines: _Lines, whole: npt.NDArray[np.bool_], se
 def _check_text(path: Path, data: bytes) -> None:
     """Raises `LogError` if the text is not UTF-8."""
     if data.startswith(_UTF16_MARKS):
-        raise LogError(f"{path}: UTF-16 text; save it as CSV in UTF-8")
+        raise LogError(f"{path}: UTF-16 text; save it in UTF-8")
     try:
         data.isascii() or data.decode()
     except UnicodeDecodeError as error:
@@ -390,7 +398,7 @@ def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[
     import polars as pl
 
     columns: dict[str, Column] = {}
-    text, again, unnamed = [], [], 0
+    text, dates, again, unnamed = list[str](), list[str](), list[str](), 0
     for name, series in zip(names, frame.iter_columns(), strict=True):
         cells = _blanked(series) if series.dtype == pl.String else series
         parsed = _parsed(cells) if series.dtype == pl.String else series
@@ -400,7 +408,8 @@ def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[
         elif name in columns:
             again.append(name)
         elif parsed is None or values is None:
-            text.append(name)
+            first = cells.drop_nulls().head(1).to_list()
+            (dates if first and _OTHER_DATE.match(str(first[0])) else text).append(name)
         else:
             columns[name] = values
             if spoilt := parsed.null_count() - cells.null_count():
@@ -410,6 +419,8 @@ def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[
                 )
     if text:
         notes.append(f"columns left out because they hold text: {listed(text)}")
+    if dates:
+        notes.append(f"columns left out because their dates are not as 2024-05-01 12:00:00.050: {listed(dates)}")
     if again:
         notes.append(f"columns left out because an earlier one has their name: {listed(again)}")
     if unnamed:
@@ -458,7 +469,7 @@ def _dates(text: "pl.Series") -> "pl.Series":
     days, clock, zone = (text.str.extract(_DATE, group) for group in (1, 2, 3))
     if days.null_count() not in (clock.null_count(), len(days)):  # some with a day, some without
         return pl.Series([None] * len(text), dtype=pl.Int64)
-    days = days.str.replace(r"^(\d\d)\.(\d\d)\.(\d{4})$", "$3-$2-$1")
+    days = days.str.replace_all("/", "-").str.replace(r"^(\d\d)\.(\d\d)\.(\d{4})$", "$3-$2-$1")
     joined = days.fill_null("1970-01-01") + "T" + clock.str.replace(",", ".", literal=True)
     stamps = joined.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False).to_physical()
     digits = zone.str.replace(":", "").str.extract(r"^[+-](\d{4})$", 1).cast(pl.Int64).fill_null(0)

@@ -20,6 +20,8 @@ from rotorfit.files.kinds import text_kind
 from rotorfit.files.logs.content import WIDEST, Content, check_width, listed
 from rotorfit.files.logs.csv import UTF8_MARK, check_cells, columns_below, text_of, with_stamps
 
+_ASKED = 20  # lines at the start, of which one must have a number
+
 
 class _Number(str):
     """A number as it stands in the line: of any length, and not rounded before its column is known."""
@@ -64,15 +66,21 @@ class _Rows:
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether the first line is a whole JSON object with a number in it, and not a file of ours."""
-    line = head.removeprefix(UTF8_MARK).lstrip().partition(b"\n")[0]
-    if not line.startswith(b"{") or text_kind(head):
+    """Whether the first line is a whole JSON object, one of the first has a number, and it is not a file of ours."""
+    lines = head.removeprefix(UTF8_MARK).lstrip().split(b"\n")[:_ASKED]
+    if not lines[0].startswith(b"{") or text_kind(head):
         return False
+    found = [_object(line) for line in lines]
+    return found[0] is not None and any(found)
+
+
+def _object(line: bytes) -> bool | None:
+    """Whether a line is an object with a number in it; None where it is no whole object."""
     try:
         found = _parsed(line)
-        return isinstance(found, tuple) and any(isinstance(cell, _Number) for _, cell in _cells(found))
+        return any(isinstance(cell, _Number) for _, cell in _cells(found)) if isinstance(found, tuple) else None
     except (ValueError, _BeyondError):
-        return False
+        return None
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001 - a file is one table
