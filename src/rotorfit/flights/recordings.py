@@ -12,7 +12,6 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Note
 from rotorfit.core.log import Column, Log, Table
-from rotorfit.flights.clocks.motion_signals import attitude_clock, velocity_clock
 from rotorfit.flights.columns import table_of
 from rotorfit.flights.other_tables import is_beside, own_clock
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps, restarts, stamps_of
@@ -59,23 +58,24 @@ def longest_recording(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
 
 def _clocks(log: Log, card: Card) -> Iterator[tuple[Table, Stamps]]:
     """The tables whose rows are stamped by a clock of their recording, with its stamps."""
-    times = [card.command_time, card.pose_time]
-    times += [velocity_clock(card)] if any(isinstance(one.source, str) for one in card.velocity.values()) else []
-    times += [attitude_clock(card)] if card.attitude else []
     known = set()
-    for time in dict.fromkeys(times):
+    for time in dict.fromkeys((card.command_time, card.pose_time)):
         table, name = table_of(log, str(time.source))
         known.add(table.name)
         if not (name == "header.stamp" and "log_time" in table.columns):
             yield table, stamps_of(log, time)
-    parts = ((card.command_time, card.command), (card.pose_time, card.pose), (card.command_time, card.reference))
-    others = [(time, channel) for time, channels in parts for channel in channels.values() if is_beside(time, channel)]
-    others += [(card.command_time, one.channel) for one in card.window if is_beside(card.command_time, one.channel)]
-    for time, channel in others:
-        table, _ = table_of(log, str(channel.source))
-        if table.name not in known:
-            known.add(table.name)
-            yield table, own_clock(log, time, channel)
+    parts = (
+        (card.command_time, [*card.command.values(), *card.reference.values(), *(one.channel for one in card.window)]),
+        (card.pose_time, card.pose.values()),
+        (card.velocity_time or card.command_time, card.velocity.values()),
+        (card.attitude_time or card.command_time, card.attitude.values()),
+    )
+    for time, channel in ((time, channel) for time, channels in parts for channel in channels):
+        if is_beside(card.command_time, channel):
+            table, _ = table_of(log, str(channel.source))
+            if table.name not in known:
+                known.add(table.name)
+                yield table, own_clock(log, time, channel)
 
 
 def _parts(stamps: Stamps, starts: list[int]) -> list[slice]:

@@ -83,11 +83,9 @@ def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for 
     start, end = _header(head)
     lines = [head[start:end], *(line for line in head[end:].split(b"\n")[:100] if line.strip())][:3]
     text = [line.decode("utf-8", errors="replace") for line in lines if line.strip()]
-    if (
-        not text
-        or _JSON.match(text[0])
-        or not all(char.isprintable() or char in "\t\r" for line in text for char in line)
-    ):
+    if not text or _JSON.match(text[0]):
+        return False
+    if not all(char.isprintable() or char in "\t\r" for line in text[:2] for char in line):
         return False
     names, *rows = (cells(line, separator_of(text[0])) for line in text)
     first = rows[1:] if len(rows) > 1 and _are_units(rows[0], names) else rows[:1]
