@@ -115,6 +115,30 @@ def test_what_a_stalled_link_delivers_at_once_is_late_and_no_other_clock() -> No
     assert 0 < counts(flight)["strange_stamps"] < 200
 
 
+@pytest.mark.parametrize("stream", ["pose", "command"])
+@pytest.mark.parametrize("at", [0, 4000])
+def test_without_arrivals_a_stamp_far_ahead_costs_one_sample(stream: str, at: int) -> None:
+    plain = [replace(one, received=0) for one in flown()]
+    at = next(i for i in range(at, len(plain)) if plain[i].stream == stream)
+    wild = replace(plain[at], stamp=plain[at].stamp + 3600 * SECOND)
+    flight, alarms = grown([*plain[:at], wild, *plain[at + 1 :]])
+
+    assert not alarms
+    assert flight.span[1] == pytest.approx((plain[-1].stamp - plain[0].stamp) / SECOND, abs=0.05)
+    assert len(flight.segments) == 1
+    assert counts(flight)["strange_stamps"] <= (1 if at > 3 else 2)  # the very first two only differ
+
+
+def test_without_arrivals_a_pause_of_the_link_costs_nothing() -> None:
+    plain = [replace(one, received=0, stamp=one.stamp + 10 * SECOND * (i >= 4000)) for i, one in enumerate(flown())]
+    flight, alarms = grown(plain)
+    whole, _ = grown(flown())
+
+    assert not alarms
+    assert flight.pose_time.size == whole.pose_time.size
+    assert "strange_stamps" not in counts(flight)
+
+
 def test_a_state_file_keeps_positions_to_the_last_digit() -> None:
     growing, again = GrowingFlight(CARD), GrowingFlight(CARD)
     away = np.array([4.5e5, 5.3e6, 0.0, 0.0, 0.0, 0.0, 0.0])

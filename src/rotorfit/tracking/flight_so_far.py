@@ -28,7 +28,7 @@ LEFT_OUT = {
     "late_poses": "poses were no newer than the last: left out",
     "stale_poses": "poses repeat the one before with a fresh stamp: left out",
     "wild_poses": "poses lie where no vehicle can be a moment later, and the next do not: left out",
-    "strange_stamps": "stamps cannot be true beside the arrival of the sample: left out",
+    "strange_stamps": "stamps cannot be true beside the arrival of the sample, or the stamps around it: left out",
     "not_numbers": "samples are no numbers: left out",
 }
 """Code of a note on samples that were left out, and its text."""

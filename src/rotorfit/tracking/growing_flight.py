@@ -6,7 +6,8 @@ and the vehicle obeys. The last `KEPT` seconds are remembered.
 
 Samples are timed by the sender's stamps. A sample whose stamp is implausible given its arrival is left out; after
 `STRANGE` of them in a row, over a second or more, the sender's clock is another one, and from then on its samples are
-timed by their arrival.
+timed by their arrival. Where no arrival is known, a sample far ahead of all others waits for the next one: if that
+follows on from it, it ends a pause; else it is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,6 +37,9 @@ STRANGE, LASTING = 10, 1.0
 """Number of implausible stamps in a row after which the arrivals count, and how long they must have arrived [s]: what a
 stalled link delivers at once is late, and its clock is right."""
 
+AHEAD = 2.0
+"""Time that a stamp lies ahead of all before it from which on the next one must confirm it [s]."""
+
 LARGEST = 1e9
 """Bound on the values of a sound sample [m or unit of the command]."""
 
@@ -64,6 +68,31 @@ class _Clock:
         return sample.received if self.by_arrival else None
 
 
+class _InLine:
+    """Keeps a stamp far ahead of all others from carrying the flight away, where no arrival tells that it is wrong."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+        self._waiting: Sample | None = None
+
+    def take(self, sample: Sample) -> tuple[tuple[Sample, ...], bool]:
+        """The samples that count now, in order, and whether the one that waited does not.
+
+        None counts, or the sample, or the one that waited and the sample.
+        """
+        if sample.received > 0:
+            return (sample,), False
+        waited, self._waiting = self._waiting, None
+        if self._newest is not None and sample.stamp - self._newest <= 1e9 * AHEAD:
+            self._newest = max(self._newest, sample.stamp)
+            return (sample,), waited is not None
+        if waited and abs(sample.stamp - waited.stamp) <= 1e9 * AHEAD:
+            self._newest = max(waited.stamp, sample.stamp)
+            return (waited, sample), False
+        self._waiting = sample
+        return (), waited is not None
+
+
 class GrowingFlight:
     """The flight so far, fed sample by sample.
 
@@ -76,7 +105,7 @@ class GrowingFlight:
     def __init__(self, card: Card, origin: int | None = None, path: str = UNRECORDED) -> None:
         self._origin, self._so_far = origin, FlightSoFar(card, path)
         self._clocks = {"pose": _Clock(), "command": _Clock()}
-        self._watch, self._ground = PoseWatch(), Ground()
+        self._line, self._watch, self._ground = _InLine(), PoseWatch(), Ground()
         self._alarms: list[Alarm] = []
         self._obeys, self._newest, self._resumed = True, -np.inf, False
         self._commands, self._poses = self._so_far.commands, self._so_far.poses
@@ -98,12 +127,20 @@ class GrowingFlight:
             sample: Of the stream `pose`, `command` or `obeys`; others are ignored.
 
         Returns:
-            Whether it was added to the flight.
+            Whether it was added to the flight, or one that waited for it.
         """
         if sample.stream == "obeys":
             return self._obeyed(sample)
         if sample.stream not in _TIMED:
             return False
+        found, wild = self._line.take(sample)
+        if wild:
+            self._left_out("strange_stamps")
+        took = [self._timed(one) for one in found]
+        return any(took)
+
+    def _timed(self, sample: Sample) -> bool:
+        """Takes a pose or command whose turn it is."""
         stamp = self._clocks[sample.stream].stamp(sample)
         if stamp is None:
             return self._left_out("strange_stamps")
