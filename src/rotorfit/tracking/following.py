@@ -82,6 +82,9 @@ SHORT = tuple(window for window in WINDOWS if window <= 16 * GLANCE)
 REVISED = 1.0
 """Time from an alarm to its revision [s]."""
 
+SAGS = 10.0
+"""Time for which a revision waits while the vehicle may have touched down [s]."""
+
 FALSE_ALARMS_PER_HOUR = 0.1
 """Promised rate of false alarms by default [1/h]."""
 
@@ -279,8 +282,8 @@ class Following:
         """
         raised, self._raised = self._raised, None
         suspected, self._suspected = self._suspected, None
-        if standing:  # who only touches the ground is soon told of, who stays there is not
-            self._raised = raised if raised and now < raised.alarm.time + 2 * REVISED else None
+        if standing:  # a vehicle that sags under a payload is flown on, one that lands may be another one afterwards
+            self._raised = raised if raised and now < raised.alarm.time + SAGS else None
             return None
         if raised and now < raised.alarm.time + REVISED - 1e-6:
             self._raised = raised
@@ -288,7 +291,7 @@ class Following:
         before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
         if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in before.groups.values()):
             return None  # no window has a rest that is long enough
-        known = recent_groups(before.groups, flight, now)
+        known = recent_groups(before.groups, flight, min(now, raised.alarm.time + REVISED) if raised else now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
