@@ -3,11 +3,13 @@
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from flights import flown, steps
+from flights import flown, steps, truth_of
 from other_laws import flown_by
 from rotorfit.core.flight_data import Segment
+from rotorfit.core.frames import Array
 from rotorfit.core.model import COEFFICIENTS, Interval, Predictor, Weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
 from rotorfit.estimation.fitting import fit
@@ -31,7 +33,7 @@ from rotorfit.tracking.refits import (
 )
 from rotorfit.tracking.regimes import SETTLES
 from rotorfit.tracking.replayed import growing, until
-from tracked_flights import LAW, known_flight
+from tracked_flights import LAW, TRUTH, known_flight
 
 pytestmark = pytest.mark.flights
 
@@ -140,6 +142,29 @@ def test_of_a_long_regime_only_the_end_is_tested_by_the_estimate_of_all_of_it(
     assert 29.9 - 1.1 * 12.0 <= record.block_time[0] <= 29.9 - 12.0
     before, now = early.estimates["z"].optimum.point, tested.estimates["z"].optimum.point
     assert (now.gain, now.log_damping, now.delay) == (before.gain, before.log_damping, before.delay)
+
+
+def test_what_rest_explains_is_judged_by_the_flight_before_the_change() -> None:
+    """Else the changed vehicle is learnt with the other one, and explains itself, as after a landing."""
+    pauses, moving = ((8.0, 11.0), (18.0, 21.0)), steps(seed=5)
+
+    def commanded(t: Array) -> Array:
+        return np.where(np.any([(a < t) & (t < b) for a, b in pauses], axis=0)[:, None], 0.0, moving(t))
+
+    flight = flown(TRUTH, commanded, 26.0, seed=5)
+    flight = replace(flight, command=flight.command / np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None])
+    following = Following(LAW)
+    following.look(until(flight, 20.0), 20.0)
+    assert following._at_rest(flight, 26.0, ("x.input", "y.input"), 20.0, 0.0)  # as if nothing were seen any more
+
+    (group,) = (one for axes, one in following._groups.items() if "x" in axes)
+    assert group.answers is not None
+    assert group.fitted is not None
+    assert max(part.segments[-1].end for part in group.fitted.fit.flights) <= 20.0
+    low, high = axis_report(group.fitted, "x").ci95["input"]
+    assert low is not None
+    assert high is not None
+    assert low < truth_of(TRUTH, "x")["input"] < high
 
 
 def test_an_axis_that_is_no_longer_known_says_until_when_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

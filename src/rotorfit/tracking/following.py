@@ -305,10 +305,12 @@ class Following:
         names, first, p_value = found
         best = likeliest(scored[names], first, looked[names])
         when, since = changed_when(scored[names], earliest(scored[names], first))
-        if not raised and not calm(scored[names], min(since[0], best.since), best.since, p_value):
+        earlier = min(since[0], best.since)
+        if not raised and not calm(scored[names], earlier, best.since, p_value):
             self._suspected = suspected or now
             return None  # the air, not the vehicle
-        if not raised and not _seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, names, threshold):
+        if not (raised or _seen_in_z_or_yaw(looked, first)) and self._at_rest(flight, now, names, earlier, threshold):
+            self._suspected = suspected or now  # a change that is barely seen may show in the answers a moment later
             return None  # the vehicle has not changed: it obeys another law at rest
         odds = _odds_of_a_push(scored, since) if best.jolt else np.inf
         if raised and (not best.jolt or odds < -STRONG):
@@ -384,10 +386,11 @@ class Following:
         self._unlike |= {one.name.partition(".")[0] for one in found}
         return another_vehicle(found, earlier, state.time) if found else None
 
-    def _at_rest(self, flight: Flight, now: float, names: Sequence[str], threshold: float) -> bool:
+    def _at_rest(self, flight: Flight, now: float, names: Sequence[str], before: float, threshold: float) -> bool:
         """Whether a change was only found because x and y obey another law at rest: many vehicles brake or hold there.
 
-        That is so if they show no change when fitted to their answers to commands alone; from then on they are.
+        That is so if their answers to commands show none when fitted alone, up to the time `before` the change [s] if
+        that is long enough; from then on they are.
         """
         for axes, group in self._groups.items():
             if group.fitted is None or group.answers is not None or set(axes) & {"z", "yaw"}:
@@ -397,13 +400,15 @@ class Following:
             late = [late_by(one) for one in group.fitted.estimates.values()]
             apart = replace(group, answers=min(late))
             begin = looks_back(group.since, now)
-            part = apart.part(flight, begin, now)
-            if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * (now - begin):
+            whole, answers = (one.part(flight, begin, now) for one in (group, apart))
+            if not (whole and answers and LEAST_TIME <= answers.duration <= RESTLESS * whole.duration):
                 continue
-            fitted = refitted(part, axes, self._structure, group.fitted.seen)
-            looked, _ = looked_together(scores_of_groups([fitted], flight))
-            if fitted.estimates and not any(one.p_value < threshold for each in looked.values() for one in each):
-                self._groups[axes] = replace(apart, fitted=fitted)
+            first = apart.part(flight, begin, before)
+            part = first if first and first.duration >= LEAST_TIME else answers
+            apart = replace(apart, fitted=refitted(part, axes, self._structure, group.fitted.seen))
+            looked, _ = looked_together(scores_of_groups(recent_groups({axes: apart}, flight, now), flight))
+            if looked and not any(one.p_value < threshold for each in looked.values() for one in each):
+                self._groups[axes] = apart
                 return True
         return False
 
