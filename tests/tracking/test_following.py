@@ -9,14 +9,14 @@ import pytest
 from flights import flown, steps, truth_of
 from other_laws import flown_by
 from rotorfit.core.flight_data import Segment
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, Interval, Predictor, Weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.models import load, save
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 from rotorfit.tracking import following as following_module
-from rotorfit.tracking.following import Following, _Before
+from rotorfit.tracking.following import GLANCE, Following, _Before
 from rotorfit.tracking.groups import Group, recent_groups
 from rotorfit.tracking.refits import (
     REFIT,
@@ -238,6 +238,30 @@ def test_a_model_of_a_regime_knows_of_each_axis_what_all_the_flight_tells_in_whi
             {name: getattr(last.axes[axis], name) for name in COEFFICIENTS}
         )
     assert regimes[0].model.axes["z"].input != last.axes["z"].input
+
+
+def test_other_axes_that_changed_at_the_same_instant_are_part_of_the_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All gains change at 20 s; at first that of yaw alone is seen, and taken for a weak rotor, as in gusts."""
+    told, calls = following_module._diagnosed, list[int]()
+
+    def at_first(*seen):  # type: ignore[no-untyped-def]
+        calls.append(1)
+        named = told(*seen)
+        return named if len(calls) > 2 else replace(named, cause="thrust", axes=("yaw",), change={})
+
+    monkeypatch.setattr(following_module, "_diagnosed", at_first)
+    flight, following = flown(TRUTH, steps(seed=6), 25.0, seed=6), Following(LAW)
+    flight = replace(flight, command=flight.command / np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None])
+    states = [following.follow(part, now) for part, now in growing(flight, 15.0, GLANCE)]
+    alarms = [alarm for state in states if state for alarm in state.alarms]
+    first, *again = alarms
+
+    assert [(one.cause, one.axes) for one in alarms] == [("thrust", ("yaw",))] * 2 + [("limits", AXES)]
+    assert [one.revises for one in again] == [first.time] * 2
+    assert revised(alarms) == (again[-1],)
+    assert following._bounds[1:] == [(following._bounds[1][0], again[-1])]
+    for low, high in again[-1].change.values():
+        assert low < 1.25 < high
 
 
 def test_a_revision_takes_the_place_of_the_alarm_of_its_time() -> None:

@@ -276,7 +276,7 @@ def revised(alarms: Iterable[Alarm]) -> tuple[Alarm, ...]:
     """Alarms in order, a revision in the place of the alarm that it revises."""
     out: list[Alarm] = []
     for alarm in alarms:
-        place = next((n for n in reversed(range(len(out))) if out[n].time == alarm.revises), len(out))
+        place = next((n for n in reversed(range(len(out))) if out[n].raised == alarm.revises), len(out))
         out[place : place + 1] = [alarm]
     return tuple(out)
 

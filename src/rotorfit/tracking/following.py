@@ -85,6 +85,10 @@ REVISED = 1.0
 SAGS = 10.0
 """Time for which a revision waits while the vehicle may have touched down [s]."""
 
+SAME = 5.0
+"""Time after an alarm was raised in which other axes that may have changed at its instant are part of its change [s].
+"""
+
 FALSE_ALARMS_PER_HOUR = 0.1
 """Promised rate of false alarms by default [1/h]."""
 
@@ -127,19 +131,23 @@ class _Before:
 
 @dataclass(frozen=True)
 class _Raised:
-    """An alarm that will be revised.
+    """An alarm that will be, or was, revised.
 
     Attributes:
         alarm: The alarm.
+        found: When the contrast was found [s].
         names: Names of the scores of the likelihood that shows the change.
         contrast: Its contrast.
+        p_value: That of the contrast, in any air.
         looked: All contrasts of that look, by the names of their scores.
         before: What was known before.
     """
 
     alarm: Alarm
+    found: float
     names: tuple[str, ...]
     contrast: Contrast
+    p_value: float
     looked: Mapping[tuple[str, ...], Sequence[Contrast]]
     before: _Before
 
@@ -177,6 +185,7 @@ class Following:
         self._laws: dict[str, str] = {}
         self._known: dict[str, float] = {}
         self._raised: _Raised | None = None
+        self._told: _Raised | None = None  # the alarm that was revised last
         self._suspected: float | None = None
         self._watched: dict[str, float] = {}
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
@@ -283,53 +292,66 @@ class Following:
         raised, self._raised = self._raised, None
         suspected, self._suspected = self._suspected, None
         if standing:  # a vehicle that sags under a payload is flown on, one that lands may be another one afterwards
-            self._raised = raised if raised and now < raised.alarm.time + SAGS else None
+            self._raised = raised if raised and now < raised.found + SAGS else None
             return None
-        if raised and now < raised.alarm.time + REVISED - 1e-6:
+        if raised and now < raised.found + REVISED - 1e-6:
             self._raised = raised
             return None
-        before = raised.before if raised else _Before(self._since, self._changed, self._bounds, self._groups)
-        if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in before.groups.values()):
+        if raised:
+            return self._revision(flight, now, raised)
+        if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in self._groups.values()):
             return None  # no window has a rest that is long enough
-        known = recent_groups(before.groups, flight, min(now, raised.alarm.time + REVISED) if raised else now)
+        known = recent_groups(self._groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
-        if raised:
-            found = (raised.names, raised.contrast, raised.contrast.p_value) if raised.names in scored else None
-        else:
-            self._watch(scored, lengths, now)
-            found = _rarest(known, flight, looked, lengths, threshold)
+        self._watch(scored, lengths, now)
+        found = _rarest(known, flight, looked, lengths, threshold)
         if not found:
             return None
         names, first, p_value = found
         best = likeliest(scored[names], first, looked[names])
         when, since = changed_when(scored[names], earliest(scored[names], first))
         earlier = min(since[0], best.since)
-        if not raised and not calm(scored[names], earlier, best.since, p_value):
+        if not calm(scored[names], earlier, best.since, p_value):
             self._suspected = suspected or now
             return None  # the air, not the vehicle
-        if not (raised or _seen_in_z_or_yaw(looked, first)) and self._at_rest(flight, now, names, earlier, threshold):
+        if not _seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, names, earlier, threshold):
             self._suspected = suspected or now  # a change that is barely seen may show in the answers a moment later
             return None  # the vehicle has not changed: it obeys another law at rest
+        if self._told and _is_same(self._told.alarm, since, now):
+            self._raised = replace(self._told, found=now, names=names, contrast=first, p_value=p_value, looked=looked)
+            return None  # nothing new, but more of it
         odds = _odds_of_a_push(scored, since) if best.jolt else np.inf
-        if raised and (not best.jolt or odds < -STRONG):
-            best = likeliest_begun(scored[names], since) or best
-        named = _diagnosed(scored, names, best, looked, raised.looked if raised else {}, odds)
-        heavier = [axis for axis in flight.axes if named.cause == "payload" and is_drag(flight.card, axis)]
-        alarm = Alarm(
-            time=now,
-            axes=tuple(axis for axis in AXES if axis in named.axes or axis in heavier),
-            cause=named.cause,
-            since=since,
-            change=_sizes(named, scored, since, best.since) if raised else {},
-            confidence=named.confidence,
-            p_value=p_value,
-            why=f"{named.why}; {HEAVIER}" if heavier else named.why,
-            revises=raised.alarm.time if raised else None,
-        )
-        self._raised = None if raised else _Raised(alarm, names, first, looked, before)
+        named = _diagnosed(scored, names, best, looked, {}, odds)
+        alarm = _alarm(flight, now, named, since, p_value)
+        before = _Before(self._since, self._changed, self._bounds, self._groups)
+        self._raised = _Raised(alarm, now, names, first, p_value, looked, before)
         self._begin(alarm, when, before)
+        return alarm
+
+    def _revision(self, flight: Flight, now: float, raised: _Raised) -> Alarm | None:
+        """The alarm in place of one that was raised, from the estimates before it and the data until `REVISED` after.
+
+        It begins the regime anew.
+        """
+        groups = recent_groups(raised.before.groups, flight, min(now, raised.found + REVISED))
+        scores = scores_of_groups(groups, flight)
+        scored = {one.names: one for one in scores}
+        if raised.names not in scored:
+            return None
+        here, first = scored[raised.names], raised.contrast
+        looked, _ = looked_together(scores)
+        best = likeliest(here, first, looked[raised.names])
+        when, since = changed_when(here, earliest(here, first))
+        odds = _odds_of_a_push(scored, since) if best.jolt else np.inf
+        if not best.jolt or odds < -STRONG:
+            best = likeliest_begun(here, since) or best
+        named = _diagnosed(scored, raised.names, best, looked, raised.looked, odds)
+        change = _sizes(named, scored, since, best.since)
+        alarm = replace(_alarm(flight, now, named, since, raised.p_value), change=change, revises=raised.alarm.raised)
+        self._told = replace(raised, alarm=alarm)
+        self._begin(alarm, when, raised.before)
         return alarm
 
     def _suspects(self, now: float) -> bool:
@@ -539,6 +561,26 @@ def _sizes(
         return named.change
     size = {name: float(scores.scale[scores.names.index(name)]) for name, scores in axes.items()}
     return {name: natural(name, (shift[0] * size[name], shift[1] * size[name])) for name in axes}
+
+
+def _is_same(told: Alarm, since: tuple[float, float], now: float) -> bool:
+    """Whether a change that came at an instant within an interval [s] may be the one that was told of a moment ago."""
+    return now < told.raised + SAME and since[0] <= told.since[1] and told.since[0] <= since[1]
+
+
+def _alarm(flight: Flight, now: float, named: Diagnosis, since: tuple[float, float], p_value: float) -> Alarm:
+    """A new alarm, of a change that came within an interval [s]."""
+    heavier = [axis for axis in flight.axes if named.cause == "payload" and is_drag(flight.card, axis)]
+    return Alarm(
+        time=now,
+        axes=tuple(axis for axis in AXES if axis in named.axes or axis in heavier),
+        cause=named.cause,
+        since=since,
+        change={},
+        confidence=named.confidence,
+        p_value=p_value,
+        why=f"{named.why}; {HEAVIER}" if heavier else named.why,
+    )
 
 
 def _seen_in_z_or_yaw(looked: Mapping[tuple[str, ...], Sequence[Contrast]], first: Contrast) -> bool:

@@ -96,8 +96,9 @@ def main() -> None:
             regaining.state(state, now)
         alarms = []
         for one in state.alarms:
-            raised[one.time] = f"{one.time:.2f} s  {one.title}: {one.why}"
-            alarms.append((raised[one.time], raised.get(one.raised) if one.revises is not None else None))
+            before = raised.get(one.raised) if one.revises is not None else None
+            raised[one.raised] = f"{one.time:.2f} s  {one.title}: {one.why}"
+            alarms.append((raised[one.raised], before))
         told = {"time": state.time, "words": state.words, "alarms": alarms, "gains": list(gains)}
         gains.clear()
         print(json.dumps({**told, "summary": summary}), file=answers, flush=True)

@@ -154,7 +154,7 @@ function alarmed(alarm) { // a revision takes the place of its alarm
     return `${axis} ${what.replaceAll("_", " ")} ${ratio ? "times" : "by"} ${between(low, high)}${unit && ` ${unit}`}`;
   });
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
-  raised.set(alarm.time, {box, number});
+  raised.set(alarm.revises ?? alarm.time, {box, number});
   noted(box);
 }
 
