@@ -1,6 +1,7 @@
 """Samples in, states out: the same as from the recorded flight, whatever the order they come in."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from tracking_samples import samples_of
@@ -66,9 +67,11 @@ def test_doubled_late_and_broken_samples_change_nothing(live: Tracked) -> None:
         ("poze", (0.0,) * 7, "no stream 'poze'; a sample is one of pose, velocity, command"),
         ("pose", (0.0,) * 3, "a sample of 'pose' has 7 values, not 3"),
         ("command", (0.0,) * 2, "a sample of 'command' has 4 values, not 2"),
+        ("command", (0.0, "1", 0.0, 0.0), "a sample of 'command' has the value '1'; give numbers, NaN where one is"),
+        ("pose", (None,) * 7, "a sample of 'pose' has the value None; give numbers, NaN where one is unknown"),
     ],
 )
-def test_what_no_link_sends_is_refused(stream: str, values: tuple[float, ...], told: str) -> None:
+def test_what_no_link_sends_is_refused(stream: str, values: tuple[Any, ...], told: str) -> None:
     with pytest.raises(LogError, match=told):
         Tracker(CARD).update(Sample(stream, 1, 1, values))  # type: ignore[arg-type]
 
@@ -76,6 +79,25 @@ def test_what_no_link_sends_is_refused(stream: str, values: tuple[float, ...], t
 def test_a_card_whose_commands_are_along_the_world_is_refused() -> None:
     with pytest.raises(CardError, match="turn them by the heading"):
         Tracker(replace(CARD, command_frame="world"))
+
+
+def test_a_tracker_that_has_taken_samples_recalls_nothing() -> None:
+    tracker, memory = Tracker(CARD), Tracker(CARD).memory()
+    for one in samples_of(known_flight())[:3]:
+        tracker.update(one)
+
+    with pytest.raises(ValueError, match="recall into a new one"):
+        tracker.recall(memory)
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_tracker_that_is_finished_again_says_the_same(live: bool) -> None:
+    tracker = Tracker(CARD, LAW, origin=0, live=live)
+    for one in samples_of(known_flight()):
+        if one.stamp < 7e9:
+            tracker.update(one)
+
+    assert tracker.finish() is tracker.finish()
 
 
 def test_nothing_is_told_before_5_s() -> None:

@@ -9,6 +9,7 @@ import json
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -24,13 +25,13 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import NUMBERS, Sample
 from rotorfit.core.model import Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import Motion, Regime, Tracked, TrackedAxis
+from rotorfit.core.tracked import Motion, Tracked, TrackedAxis
 from rotorfit.files.cards import load_card
 from rotorfit.tracking.earlier import Earlier, check_earlier, earlier_of, until_known
 from rotorfit.tracking.flight_so_far import UNRECORDED
 from rotorfit.tracking.following import FALSE_ALARMS_PER_HOUR, GLANCE, Following, next_look
 from rotorfit.tracking.growing_flight import GrowingFlight
-from rotorfit.tracking.looks import Looks, LooksHere
+from rotorfit.tracking.looks import End, Looks, LooksHere
 from rotorfit.tracking.looks_beside import LooksBeside
 from rotorfit.tracking.motion_stream import MotionStream
 
@@ -42,7 +43,7 @@ MOST_FALSE_ALARMS = 60.0
 
 
 def _check(sample: Sample) -> None:
-    """Refuses what no link sends: an unknown stream, or another number of values.
+    """Refuses what no link sends: an unknown stream, another number of values, or values of another type.
 
     Raises:
         LogError: It is such a sample.
@@ -53,6 +54,11 @@ def _check(sample: Sample) -> None:
         raise LogError(
             f"a sample of {sample.stream!r} has {NUMBERS[sample.stream]} values, not {len(sample.values)}; a pose is "
             "x, y, z and the quaternion w, x, y, z, a command x, y, z, yaw"
+        )
+    given: tuple[object, ...] = sample.values  # by whoever wrote the link
+    if wrong := [value for value in given if not isinstance(value, Real)]:
+        raise LogError(
+            f"a sample of {sample.stream!r} has the value {wrong[0]!r}; give numbers, NaN where one is unknown"
         )
 
 
@@ -116,6 +122,8 @@ class Tracker:
         axes = {axis: until_known(begin, earlier, axis) if earlier else begin for axis in AXES}
         self._state = Tracked(0.0, axes)
         self._unread: deque[Tracked] = deque(maxlen=UNREAD)
+        self._begun = False
+        self._end: End | None = None
         self._stream = MotionStream(*self._growing.rows)
 
     def update(self, sample: Sample) -> None:
@@ -126,11 +134,12 @@ class Tracker:
                 [unit of the card's command]; or whether the vehicle obeys. In the order of arrival.
 
         Raises:
-            LogError: The sample is of no known stream, or has another number of values than its stream.
+            LogError: The sample is of no known stream, or its values are not numbers, or not as many as its stream has.
             RuntimeError: Live, the process beside has failed; the message has its traceback.
             LinkError: Live, the process beside was killed.
         """
         _check(sample)
+        self._begun = True
         took, now = self._growing.add(sample), self._growing.now
         if took and sample.stream == "pose":
             self._stream.follow()
@@ -191,7 +200,10 @@ class Tracker:
 
         Raises:
             CardError: The memory was made with another card.
+            ValueError: The tracker has taken samples.
         """
+        if self._begun:
+            raise ValueError("this tracker has taken samples; recall into a new one")
         told = json.loads(str(memory["following"]))
         name, raw = told.pop("card")
         if raw != json.loads(json.dumps(self._card.raw)):
@@ -201,19 +213,21 @@ class Tracker:
         self._due = float(self._memory["next_look"])
         self._looks.recall(self._memory)
 
-    def finish(self) -> tuple[Tracked, tuple[Regime, ...]]:
-        """The final state, after a last fit, and every regime with its model; closes the tracker.
+    def finish(self) -> End:
+        """The final state, after a last fit, and every regime with its model; closes the tracker. Again, the same.
 
         Raises:
             RuntimeError: Live, the process beside has failed; the message has its traceback.
             LinkError: Live, the process beside was killed.
         """
-        try:
-            end = self._looks.finish(self._growing)
-            self._take_in()
-        finally:
-            self.close()
-        return end or (replace(self._state, alarms=()), ())
+        if self._end is None:
+            try:
+                end = self._looks.finish(self._growing)
+                self._take_in()
+            finally:
+                self.close()
+            self._end = end or (replace(self._state, alarms=()), ())
+        return self._end
 
     def close(self) -> None:
         """Ends the process beside, if there is one, whether or not the tracker was finished."""
