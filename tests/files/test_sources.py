@@ -59,9 +59,11 @@ class Recording:
 def recording(poses: int = 60, commands: int = 17) -> Recording:
     rng = np.random.default_rng(3)
     start = 1_700_000_000_000_000_123
+    time, pose = start + np.cumsum(rng.integers(7_000_000, 9_000_000, poses)), rng.normal(size=(poses, 7))
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
     return Recording(
-        start + np.cumsum(rng.integers(7_000_000, 9_000_000, poses)),
-        rng.normal(size=(poses, 7)),
+        time,
+        pose,
         start + 5 + np.cumsum(rng.integers(60_000_000, 70_000_000, commands)),
         rng.normal(size=(commands, 4)),
     )
