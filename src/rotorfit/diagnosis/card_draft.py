@@ -25,6 +25,7 @@ from rotorfit.diagnosis.frame_checks import (
     is_held_in_degrees,
     other_orders,
     overturned,
+    strays_from_its_names,
     turned_by_yaw,
     upright_order,
 )
@@ -421,7 +422,8 @@ def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
     found, told = asked.found, asked.answers
     if told is None or not _is_whole(found.pose):
         return asked
-    if upright := upright_order(log, found.pose.channels):
+    doubted = "yaw" not in told.of and strays_from_its_names(told)
+    if doubted and (upright := upright_order(log, found.pose.channels)):
         why = "by the pose: in the order of the names the vehicle lies on its side; EDIT if that is not so"
         return _asked(log, _read(found, why, **upright))
     if "yaw" in told.of:

@@ -152,6 +152,12 @@ def turned_by_yaw(told: Answers) -> bool:
     return "yaw" in told.of and told.of["yaw"].axis == "yaw"
 
 
+def strays_from_its_names(told: Answers) -> bool:
+    """Whether the command of x or y moves the vehicle along another axis, or backwards."""
+    known = [(name, told.of[name]) for name in "xy" if name in told.of]
+    return any(answer.axis and (answer.axis != name or answer.sign < 0) for name, answer in known)
+
+
 def _lying(recording: Recording) -> Finding | None:
     """Finding for a pose whose vertical axis is another one: its z does not answer the command of z."""
     pose, climbs = recording.card.pose, recording.answers.of.get("z")
@@ -173,16 +179,18 @@ def _lying(recording: Recording) -> Finding | None:
 
 
 def _order(recording: Recording) -> Finding | None:
-    """Finding for a quaternion that obeys the command of yaw in another order only."""
-    card, flight = recording.card, recording.flight
+    """Finding for a quaternion in which the vehicle obeys in another order only.
+
+    That it lies on its side is no proof: a body may be defined so.
+    """
+    card, flight, own = recording.card, recording.flight, recording.answers
     if "qw" not in card.pose:
         return None
-    if upright := upright_order(recording.log, card.pose):
-        return _wrong_order("by the card as it is, the vehicle lies on its side throughout the flight", upright)
-    if not np.ptp(flight.command[:, AXES.index("yaw")]):
-        return None
-    own = recording.answers
-    if "yaw" not in own.of or turned_by_yaw(own):
+    if "yaw" not in own.of or not np.ptp(flight.command[:, AXES.index("yaw")]):
+        upright = upright_order(recording.log, card.pose) if strays_from_its_names(own) else None
+        told = "by the card as it is, the vehicle lies on its side throughout the flight and does not follow x and y"
+        return _wrong_order(told, upright) if upright else None
+    if turned_by_yaw(own):
         return None
     for parts in other_orders(card.pose):
         try:
