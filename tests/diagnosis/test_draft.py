@@ -845,12 +845,15 @@ def test_a_draft_of_a_flight_without_turns_takes_w_last_where_the_vehicle_is_upr
 
 
 def test_a_body_that_is_defined_lying_on_its_side_is_no_wrong_order(tmp_path: Path) -> None:
-    """As of a camera, whose z points ahead: its heading is that of its x, a quarter turn beside that of the vehicle."""
-    true = raised(1.0)
-    half = 0.5 * true.pop("yaw") - np.pi / 4
-    c, s, r = np.cos(half), np.sin(half), np.sqrt(0.5)
-    parts = {"qw": r * c, "qx": -r * c, "qy": -r * s, "qz": r * s}  # turned by yaw, after -90 degrees about its x
-    log = log_of(flight={"time": T, **true, **parts, **{f"cmd_{axis}": one for axis, one in COMMAND.items()}})
+    """As of a camera, which looks ahead along its z and whose x points to the right."""
+    ahead, commands = motion(world=True), {axis: one for axis, one in COMMAND.items() if axis != "yaw"}
+    true = {axis: ahead[axis] for axis in "xy"} | {"z": 1 + ahead["z"]}
+    half, rolled = 0.1 * np.sin(0.3 * T), 0.02 * np.sin(3 * T)
+    camera = dict(
+        zip(("qw", "qx", "qy", "qz"), (np.cos(half), -np.cos(half), -np.sin(half), np.sin(half)), strict=True)
+    )
+    camera = {name: np.sqrt(0.5) * one + rolled * (name == "qx") for name, one in camera.items()}
+    log = log_of(flight={"time": T, **true, **camera, **{f"cmd_{axis}": one for axis, one in commands.items()}})
     text = draft_card(log)
 
     assert 'quaternion = ["qw", "qx", "qy", "qz"]' in text
