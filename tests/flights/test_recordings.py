@@ -1,9 +1,13 @@
 """Several recordings in one file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_flight import card_with, commands, counts, error_of, flight_of, log_of, poses, rows
 
+from rotorfit.core.log import Table
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.flights.assemble import flight_from_log
 
 
@@ -53,3 +57,19 @@ def test_tables_beside_the_poses_are_cut_with_them() -> None:
     flight = flight_from_log(log_of(cmd, pose, beside=beside(pose)), card)
 
     assert np.min(flight.position[:, 2]) > 1.5
+
+
+def test_commands_and_poses_with_clocks_of_their_own_in_one_table_are_cut_together() -> None:
+    short, long = (rows(commands(), slice(80)), rows(poses(), slice(500))), (commands(), poses())
+    cmd, pose = appended(short[0], long[0]), appended(short[1], long[1])
+    columns = {f"cmd_{name}": values for name, values in cmd.items()} | {f"p_{name}": one for name, one in pose.items()}
+    raw = {
+        "command": {"time": "cmd_t", **{name: f"cmd_{name}" for name in cmd if name != "t"}},
+        "pose": {"time": "p_t", **{name: f"p_{name}" for name in pose if name != "t"}},
+    }
+
+    log = replace(log_of(cmd, pose), tables={"flight": Table("flight", columns)})
+    flight = flight_from_log(log, card_from_mapping(raw, "test"))
+
+    np.testing.assert_array_equal(flight.position, flight_of(*long).position)
+    np.testing.assert_array_equal(flight.command, flight_of(*long).command)

@@ -317,10 +317,16 @@ def clock_of(log: Log, table: Table, count: int, of: str = "") -> Channel | None
         log: Log that holds the table.
         table: The table.
         count: Number of samples.
-        of: Name of a column that it is to stamp: a clock that is filled where that is, and begins with the same words,
-            as `pose.time` beside `pose.x`, comes before others.
+        of: Name of a column that it is to stamp. A clock of all rows comes before those of one sensor, if it is filled
+            where that column is; of the others the one that begins with the same words, as `pose.time` beside `pose.x`.
     """
-    names = sorted(clocks_of(table, count), key=lambda name: (not _stamps(table, name, of), -_words_shared(name, of)))
+
+    def rank(name: str) -> tuple[bool, bool, int]:
+        plain = plain_name(name)
+        own = _CLOCK_OF_SOMETHING.fullmatch(plain) and plain not in _CLOCKS and not plain.endswith("header_stamp")
+        return not _stamps(table, name, of), bool(own), -_words_shared(name, of)
+
+    names = sorted(clocks_of(table, count), key=rank)
     if not names:
         return None
     of_ulog = format_of(log, table.name) == "ulog" and names[0] == "timestamp"

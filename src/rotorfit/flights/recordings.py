@@ -33,10 +33,12 @@ def longest_recording(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
         CardError: A column is missing.
         FlightError: Commands and poses do not start again together.
     """
-    cuts = {table.name: (stamps, restarts(stamps)) for table, stamps in _clocks(log, card)}
-    cuts = {name: (stamps, starts) for name, (stamps, starts) in cuts.items() if starts}
-    owners = (table_of(log, str(time.source))[0].name for time in (card.command_time, card.pose_time))
-    commands, poses = (len(cuts[name][1]) if name in cuts else 0 for name in owners)
+    clocks = {(table.name, len(stamps)): stamps for table, stamps in _clocks(log, card)}
+    cuts = {clock: (stamps, starts) for clock, stamps in clocks.items() if (starts := restarts(stamps))}
+    commands, poses = (
+        len(cuts.get((table_of(log, str(time.source))[0].name, len(stamps_of(log, time))), ((), ()))[1])
+        for time in (card.command_time, card.pose_time)
+    )
     if commands != poses:
         raise FlightError(
             f"{log.path}: the clock starts again, among the commands {commands} times and among the poses {poses} "
@@ -44,16 +46,18 @@ def longest_recording(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
         )
     if not commands:
         return log, ()
-    parts = {name: _parts(stamps, starts) for name, (stamps, starts) in cuts.items() if len(starts) == commands}
-    lengths = [[_length(stamps[part]) for part in parts[name]] for name, (stamps, _) in cuts.items() if name in parts]
+    parts = {clock: _parts(stamps, starts) for clock, (stamps, starts) in cuts.items() if len(starts) == commands}
+    lengths = [[_length(cuts[clock][0][part]) for part in each] for clock, each in parts.items()]
     taken = int(np.argmax(np.min(lengths, axis=0)))
-    tables = {name: _cut(log.tables[name], parts[name][taken], len(cuts[name][0])) for name in parts}
-    name, part = next((name, parts[name][taken]) for name in parts)
+    tables = dict(log.tables)
+    for (name, count), each in parts.items():
+        tables[name] = _cut(tables[name], each[taken], count)
+    (name, _), each = next(iter(parts.items()))
     text = (
-        f"the clock of {name} starts again after row {', '.join(str(one.stop) for one in parts[name][:-1])}: "
-        f"{len(parts[name])} recordings in one file, of which rows {part.start + 1} to {part.stop} are used"
+        f"the clock of {name} starts again after row {', '.join(str(one.stop) for one in each[:-1])}: "
+        f"{len(each)} recordings in one file, of which rows {each[taken].start + 1} to {each[taken].stop} are used"
     )
-    return replace(log, tables={**log.tables, **tables}), (Note("clock_restarts", text, len(parts[name])),)
+    return replace(log, tables=tables), (Note("clock_restarts", text, len(each)),)
 
 
 def _clocks(log: Log, card: Card) -> Iterator[tuple[Table, Stamps]]:
