@@ -61,6 +61,7 @@ def test_tables_beside_the_poses_are_cut_with_them() -> None:
 
 def test_commands_and_poses_with_clocks_of_their_own_in_one_table_are_cut_together() -> None:
     short, long = (rows(commands(), slice(80)), rows(poses(), slice(500))), (commands(), poses())
+    short[0]["x"] = -short[0]["x"]
     cmd, pose = appended(short[0], long[0]), appended(short[1], long[1])
     columns = {f"cmd_{name}": values for name, values in cmd.items()} | {f"p_{name}": one for name, one in pose.items()}
     raw = {
