@@ -37,6 +37,13 @@ def test_recordings_of_commands_and_poses_that_do_not_match_are_refused() -> Non
     assert "split" in said
 
 
+def test_poses_of_an_earlier_recording_without_commands_are_dropped() -> None:
+    flight = flight_of(commands(), appended(rows(poses(), slice(500)), poses()))
+
+    assert "clock_restarts" not in counts(flight)
+    assert flight.duration == pytest.approx(flight_of(commands(), poses()).duration)
+
+
 def test_a_clock_that_is_set_back_does_not_end_the_recording() -> None:
     tables = commands(), poses()
     for table in tables:

@@ -139,6 +139,19 @@ def test_without_arrivals_a_pause_of_the_link_costs_nothing() -> None:
     assert "strange_stamps" not in counts(flight)
 
 
+def test_without_arrivals_a_command_in_a_pause_of_the_poses_acts() -> None:
+    plain = [replace(one, received=0) for one in flown()]
+    begin, end = plain[4000].stamp, plain[4000].stamp + 10 * SECOND
+    (last,) = [one for one in plain if one.stream == "command" and one.stamp < begin][-1:]
+    paused = [one for one in plain if one.stamp < begin]
+    paused += [replace(last, stamp=begin + 5 * SECOND, values=(0.5, 0.0, 0.0, 0.0))]
+    paused += [replace(one, stamp=one.stamp + end - begin) for one in plain if one.stamp > begin]
+    flight, _ = grown(paused)
+
+    assert "strange_stamps" not in counts(flight)
+    assert 0.5 in flight.command[:, 0]
+
+
 def test_a_state_file_keeps_positions_to_the_last_digit() -> None:
     growing, again = GrowingFlight(CARD), GrowingFlight(CARD)
     away = np.array([4.5e5, 5.3e6, 0.0, 0.0, 0.0, 0.0, 0.0])

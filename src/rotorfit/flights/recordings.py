@@ -39,13 +39,13 @@ def longest_recording(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
         len(cuts.get((table_of(log, str(time.source))[0].name, len(stamps_of(log, time))), ((), ()))[1])
         for time in (card.command_time, card.pose_time)
     )
+    if not commands:
+        return log, ()  # what poses saw before the first command is dropped as out of order
     if commands != poses:
         raise FlightError(
             f"{log.path}: the clock starts again, among the commands {commands} times and among the poses {poses} "
             "times: several recordings in one file; split it"
         )
-    if not commands:
-        return log, ()
     parts = {clock: _parts(stamps, starts) for clock, (stamps, starts) in cuts.items() if len(starts) == commands}
     lengths = [[_length(cuts[clock][0][part]) for part in each] for clock, each in parts.items()]
     taken = int(np.argmax(np.min(lengths, axis=0)))

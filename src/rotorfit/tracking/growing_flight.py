@@ -7,7 +7,7 @@ and the vehicle obeys. The last `KEPT` seconds are remembered.
 Samples are timed by the sender's stamps. A sample whose stamp is implausible given its arrival is left out; after
 `STRANGE` of them in a row, over a second or more, the sender's clock is another one, and from then on its samples are
 timed by their arrival. Where no arrival is known, a sample far ahead of all others waits for the next one: if that
-follows on from it, it ends a pause; else it is left out.
+is no earlier, time has gone on; else it is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -89,6 +89,9 @@ class _InLine:
         if waited and abs(sample.stamp - waited.stamp) <= 1e9 * AHEAD:
             self._newest = max(waited.stamp, sample.stamp)
             return (waited, sample), False
+        if waited and sample.stamp > waited.stamp:  # as in a pause of the poses with few commands: time goes on
+            self._newest, self._waiting = waited.stamp, sample
+            return (waited,), False
         self._waiting = sample
         return (), waited is not None
 
