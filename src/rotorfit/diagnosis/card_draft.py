@@ -417,7 +417,8 @@ def _doubting_radians(log: Log, asked: _Asked) -> _Asked:
 def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
     """The draft with the parts of the quaternion in the order in which the vehicle is upright and obeys.
 
-    In the wrong order a heading that hardly changes is half a turn off: both horizontal commands are reversed.
+    In the wrong order a heading that hardly changes is half a turn off: both horizontal commands are reversed, and
+    unless it is near 0 neither moves the vehicle clearly along its axis. Named parts are believed as far as possible.
     """
     found, told = asked.found, asked.answers
     if told is None or not _is_whole(found.pose):
@@ -428,6 +429,8 @@ def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
         return _asked(log, _read(found, why, **upright))
     if "yaw" in told.of:
         why, obeys = "in the order of the names no command turns the vehicle", turned_by_yaw
+    elif found.remarks.get("qw") == _ORDER_GUESSED:
+        why, obeys = "in the order of the numbers x and y do not move the vehicle as named", _as_named
     else:
         why, obeys = "in the order of the names x and y are both reversed", _ahead
     if obeys(told):
@@ -435,6 +438,11 @@ def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
     why = f"by the motion: {why}; EDIT if that is not so"
     others = (_asked(log, _read(found, why, **parts)) for parts in other_orders(found.pose.channels))
     return next((other for other in others if other.answers and obeys(other.answers)), asked)
+
+
+def _as_named(told: Answers) -> bool:
+    """Whether x and y clearly move the vehicle as named."""
+    return all(told.of[name].axis == name and told.of[name].sign > 0 for name in "xy" if name in told.of)
 
 
 def _ahead(told: Answers) -> bool:

@@ -58,7 +58,7 @@ gains of x and y by less than 1 - cos(3 degrees), a thousandth."""
 SAME_THING = ": with a heading that stays within a few degrees of 0 the commands cannot distinguish the two"
 """Why degrees read as radians and world commands are one finding where the heading hardly turned."""
 
-_LYING = np.radians(25.0)
+_LYING = np.radians(15.0)
 """Lean of the body's mean z axis above which a vehicle is not upright: wind that holds it so would be a storm."""
 
 OFF = np.radians(12.0)

@@ -24,7 +24,7 @@ _PLACES: tuple[Mapping[str, str], ...] = (
         f"{_OF_A_TOPIC}(?:pose_position|transform_translation)_({axis})"
         for axis in "xyz"
     },
-    {axis: f"{_WHERE}(?:position|pos)_({i})" for i, axis in enumerate("xyz")},
+    {axis: f"{_WHERE}(?:position|pos|p)_({i})" for i, axis in enumerate("xyz")},
     {"x": f"{_AT}(e)|{_WHERE}(east)", "y": f"{_AT}(n)|{_WHERE}(north)", "z": f"{_AT}(u)|{_WHERE}(up)"},
     {"x": f"{_AT}(n)|{_WHERE}(north)", "y": f"{_AT}(e)|{_WHERE}(east)", "z": f"{_AT}(d)|{_WHERE}(down)"},
 )
