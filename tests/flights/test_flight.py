@@ -258,6 +258,16 @@ def test_yaw_comes_from_a_quaternion_of_any_length_and_tilt() -> None:
     np.testing.assert_allclose(np.exp(1j * (off.yaw - flight.yaw)), np.exp(0.5j), atol=1e-9)
 
 
+def test_a_quaternion_that_a_filter_does_not_normalise_is_one() -> None:
+    pose = poses()
+    half, length = pose.pop("yaw") * 6, np.linspace(1.0, 1.1, len(pose["t"]))
+    pose |= {"q.w": length * np.cos(half), "q.x": 0 * half, "q.y": 0 * half, "q.z": length * np.sin(half)}
+
+    flight = flight_of(pose=pose, card=card_with(pose={"yaw": None, "quaternion": "pose:q"}))
+
+    assert np.ptp(flight.yaw) == pytest.approx(np.ptp(2 * half[(pose["t"] >= 0) & (pose["t"] <= 10)]), rel=0.01)
+
+
 def test_four_columns_that_are_no_quaternion_are_refused() -> None:
     pose = poses()
     yaw = pose.pop("yaw") * 12

@@ -87,6 +87,9 @@ def test_files_of_a_recorder_that_follow_each_other_are_one_recording() -> None:
     assert log.notes == ("one recording in 2 files that follow each other: a_0.bag, a_1.bag",)
     at_once = join_logs([first, part("b.bag", 1)])
     assert list(at_once.tables) == ["a_0/cmd", "a_0/pose", "b/cmd", "b/pose"]
+    late = [{"/late": {"log_time": np.array([start]), field: np.ones(1)}} for start, field in ((2, "v"), (22, "w"))]
+    others = join_logs([part("a.bag", 0, **late[0]), part("b.bag", 10), part("c.bag", 20, **late[1])])
+    assert "a/late" in others.tables  # another topic of the same name
 
 
 def test_a_card_may_name_the_same_column_in_two_files() -> None:

@@ -13,6 +13,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import (
     STRUCTURE,
+    Interval,
     Model,
     Predictor,
     Weighed,
@@ -119,7 +120,10 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
         raise ModelError(f"the model has no covariance of {axis}, so no margin can be stated: fit its flights again")
     weight = np.array([law.weight for law in laws])
     counts = rng.multinomial(count, weight / weight.sum()) if len(laws) > 1 else [count]
-    reach = _reach(model, axis, laws[0])
+    known = model.axes[axis]
+    beside = known.plain if len(laws) == 1 and laws[0].structure != known.structure else None
+    ci95 = beside.ci95 if beside else known.ci95
+    reach = _reach(laws, ci95)
     return [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
 
 
@@ -144,24 +148,35 @@ def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
     return (replace(chosen, weight=own.weight), *others)
 
 
-def _reach(model: Model, axis: str, law: Weighed) -> dict[str, tuple[float, float]]:
-    """How much further than 1.96 standard errors the interval of each parameter reaches down, and up; at least 1.
+def _reach(laws: Sequence[Weighed], ci95: Mapping[str, Interval]) -> dict[str, tuple[float, float]]:
+    """How much further than the laws' normal distributions the interval of each parameter reaches down, and up.
 
-    Profiles of input and damping are skewed where a flight tells little.
+    Profiles of input and damping are skewed where a flight tells little. What another law accounts for is no skew.
     """
-    known = model.axes[axis]
-    ci95 = known.plain.ci95 if known.plain and law.structure != known.structure else known.ci95
-    at = {"input": law.predictor.input, "damping": law.predictor.damping, "delay": law.predictor.delay}
-    at |= law.predictor.extra
-    return {
-        name: (max(_times(at[name], low, error), 1.0), max(_times(at[name], high, error), 1.0))
-        for name, error in law.stderr.items()
-        for low, high in [ci95.get(name, (None, None))]
-    }
+    out = {}
+    for name, (low, high) in ci95.items():
+        known = [(_value(law, name), law.stderr[name]) for law in laws if law.stderr.get(name)]
+        out[name] = (_further(known, low, -1.0), _further(known, high, 1.0))
+    return out
 
 
-def _times(point: float, end: float | None, error: float) -> float:
-    return 1.0 if end is None or error == 0 else abs(end - point) / (NORMAL_95 * error)
+def _value(law: Weighed, name: str) -> float:
+    point = law.predictor
+    return {"input": point.input, "damping": point.damping, "delay": point.delay, **point.extra}[name]
+
+
+def _further(known: Sequence[tuple[float, float]], end: float | None, side: float) -> float:
+    """The end of an interval over that of the normal distribution that reaches furthest to its side; at least 1.
+
+    Args:
+        known: Estimate and standard error under each law.
+        end: The end; None if it is open.
+        side: 1 for the upper end, -1 for the lower one.
+    """
+    if end is None or not known:
+        return 1.0
+    point, error = max(known, key=lambda one: side * one[0] + NORMAL_95 * one[1])
+    return max(side * (end - point) / (NORMAL_95 * error), 1.0)
 
 
 def _drawn(

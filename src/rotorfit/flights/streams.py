@@ -56,7 +56,7 @@ NEVER = np.int64(2**62)
 """End time of a sample that acts until the next one [ns]."""
 
 
-_STRETCHED = 1.05
+_STRETCHED = 1.15
 """Ratio of the longest to the shortest of the common lengths of a quaternion, above which it is none."""
 
 

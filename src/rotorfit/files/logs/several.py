@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +42,7 @@ def join_logs(logs: Sequence[Log]) -> Log:
         A log whose path is `A+B`, whose digest is the digests of the files joined by plus signs, and which records the
         file of each table, unless they are one recording.
     """
-    if all(_follows(*pair) for pair in pairwise(logs)):
+    if all(_follows(*pair) for pair in pairwise(logs)) and all(_alike(*pair) for pair in combinations(logs, 2)):
         return _one_recording(logs)
     names = [name for log in logs for name in log.tables]
     tables: dict[str, Table] = {}
@@ -83,13 +83,17 @@ def _joined(logs: Sequence[Log], tables: Mapping[str, Table], skipped: Mapping[s
 
 
 def _follows(first: Log, second: Log) -> bool:
-    """Whether a log continues another: by the recorder's clock it comes after it, and their topics are alike."""
+    """Whether a log continues another: by the recorder's clock it comes after it, with some of its topics."""
     before, after = _filled(first), _filled(second)
     if first.format != second.format or not all(RECORDER in one for one in (*before.values(), *after.values())):
         return False
-    shared = [name for name in before if name in after]
-    alike = all(_shapes(before[name]) == _shapes(after[name]) for name in shared)
-    return bool(shared) and alike and _times(before).max() <= _times(after).min()
+    return bool(before.keys() & after.keys()) and _times(before).max() <= _times(after).min()
+
+
+def _alike(one: Log, other: Log) -> bool:
+    """Whether the topics that two logs share have the same fields."""
+    here, there = _filled(one), _filled(other)
+    return all(_shapes(here[name]) == _shapes(there[name]) for name in here.keys() & there.keys())
 
 
 def _filled(log: Log) -> dict[str, Mapping[str, Column]]:
