@@ -264,6 +264,26 @@ def test_other_axes_that_changed_at_the_same_instant_are_part_of_the_alarm(monke
         assert low < 1.25 < high
 
 
+def test_axes_that_were_told_of_stay_part_of_an_alarm_that_others_join(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All gains change at 20 s, and are seen on yaw at first, on x and z alone a moment later."""
+    told, calls = following_module._diagnosed, list[int]()
+
+    def in_turn(*seen):  # type: ignore[no-untyped-def]
+        calls.append(1)
+        first = {"cause": "limits", "axes": ("yaw",), "confidence": 0.9, "change": {}}
+        later = {"cause": "other", "axes": ("x", "z"), "confidence": 0.6}
+        return replace(told(*seen), **(first if len(calls) <= 2 else later))
+
+    monkeypatch.setattr(following_module, "_diagnosed", in_turn)
+    flight, following = flown(TRUTH, steps(seed=6), 25.0, seed=6), Following(LAW)
+    flight = replace(flight, command=flight.command / np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None])
+    states = [following.follow(part, now) for part, now in growing(flight, 15.0, GLANCE)]
+    (last,) = revised([alarm for state in states if state for alarm in state.alarms])
+
+    assert (last.cause, last.axes, last.confidence) == ("limits", ("x", "z", "yaw"), 0.9)
+    assert following._changed.keys() == {"x", "z", "yaw"}
+
+
 def test_a_revision_takes_the_place_of_the_alarm_of_its_time() -> None:
     first = Alarm(12.5, ("z",), "payload", (11.0, 12.0), {}, 0.9, 1e-9, "because")
     jump, other = replace(first, cause="pose_jumped"), replace(first, time=20.0)

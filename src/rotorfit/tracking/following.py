@@ -350,6 +350,8 @@ class Following:
         named = _diagnosed(scored, raised.names, best, looked, raised.looked, odds)
         change = _sizes(named, scored, since, best.since)
         alarm = replace(_alarm(flight, now, named, since, raised.p_value), change=change, revises=raised.alarm.raised)
+        if self._told and self._told.alarm.raised == alarm.raised:
+            alarm = _both(self._told.alarm, alarm)
         self._told = replace(raised, alarm=alarm)
         self._begin(alarm, when, raised.before)
         return alarm
@@ -581,6 +583,19 @@ def _alarm(flight: Flight, now: float, named: Diagnosis, since: tuple[float, flo
         p_value=p_value,
         why=f"{named.why}; {HEAVIER}" if heavier else named.why,
     )
+
+
+def _both(told: Alarm, more: Alarm) -> Alarm:
+    """An alarm and what was found of it a moment later: no axis that was told of is the vehicle before again.
+
+    The cause is that of the later one where it explains all axes, else that of the surer one.
+    """
+    if set(told.axes) <= set(more.axes):
+        return more
+    surer = max(more, told, key=lambda one: one.confidence)
+    axes = tuple(axis for axis in AXES if axis in {*told.axes, *more.axes})
+    both = replace(more, axes=axes, cause=surer.cause, confidence=surer.confidence, why=surer.why)
+    return replace(both, since=told.since, change={**more.change, **told.change})
 
 
 def _seen_in_z_or_yaw(looked: Mapping[tuple[str, ...], Sequence[Contrast]], first: Contrast) -> bool:
