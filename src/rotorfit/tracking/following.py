@@ -9,7 +9,7 @@ revised: its regime is then as if it had been raised like that. Only then it say
 the size of a change and its time explain each other, and no interval of either alone holds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -88,6 +88,10 @@ SAGS = 10.0
 SAME = 5.0
 """Time after an alarm was raised in which other axes that may have changed at its instant are part of its change [s].
 """
+
+JOINS, JOINING = 1e-5, 20.0
+"""p-value below which another axis changed with those of an alarm, and for how long after it that is asked [s]. Its
+instant is known, so that no window is chosen; that an alarm is true has been shown before."""
 
 FALSE_ALARMS_PER_HOUR = 0.1
 """Promised rate of false alarms by default [1/h]."""
@@ -308,6 +312,7 @@ class Following:
         self._watch(scored, lengths, now)
         found = _rarest(known, flight, looked, lengths, threshold)
         if not found:
+            self._raised = self._joined(flight, now) if lengths is WINDOWS else None
             return None
         names, first, p_value = found
         best = likeliest(scored[names], first, looked[names])
@@ -330,6 +335,18 @@ class Following:
         self._begin(alarm, when, before)
         return alarm
 
+    def _joined(self, flight: Flight, now: float) -> _Raised | None:
+        """The last alarm by another likelihood, by which axes that it did not name changed at its instant, too."""
+        told = self._told
+        if told is None or not told.alarm.raised + REVISED < now < told.alarm.raised + JOINING:
+            return None
+        groups = {axes: one for axes, one in told.before.groups.items() if not set(axes) & set(told.alarm.axes)}
+        for scores in scores_of_groups(recent_groups(groups, flight, now), flight):
+            one = likeliest_begun(scores, told.alarm.since)
+            if one and one.p_value < JOINS and calm(scores, told.alarm.since[0], one.since, one.p_value):
+                return replace(told, found=now, names=scores.names, contrast=one, p_value=one.p_value, looked={})
+        return None
+
     def _revision(self, flight: Flight, now: float, raised: _Raised) -> Alarm | None:
         """The alarm in place of one that was raised, from the estimates before it and the data until `REVISED` after.
 
@@ -351,7 +368,7 @@ class Following:
         change = _sizes(named, scored, since, best.since)
         alarm = replace(_alarm(flight, now, named, since, raised.p_value), change=change, revises=raised.alarm.raised)
         if self._told and self._told.alarm.raised == alarm.raised:
-            alarm = _both(self._told.alarm, alarm)
+            alarm = _both(self._told.alarm, alarm, {name.partition(".")[0] for name in raised.names})
         self._told = replace(raised, alarm=alarm)
         self._begin(alarm, when, raised.before)
         return alarm
@@ -585,17 +602,18 @@ def _alarm(flight: Flight, now: float, named: Diagnosis, since: tuple[float, flo
     )
 
 
-def _both(told: Alarm, more: Alarm) -> Alarm:
-    """An alarm and what was found of it a moment later: no axis that was told of is the vehicle before again.
+def _both(told: Alarm, more: Alarm, joined: Collection[str]) -> Alarm:
+    """An alarm and what was found of it later, on the axes `joined`: none that was told of is as it was before.
 
-    The cause is that of the later one where it explains all axes, else that of the surer one.
+    Where the later one does not explain all axes, the cause is that of the surer one and the instant that of the first.
     """
-    if set(told.axes) <= set(more.axes):
+    every = {*told.axes, *more.axes, *joined}
+    if every <= set(more.axes):
         return more
     surer = max(more, told, key=lambda one: one.confidence)
-    axes = tuple(axis for axis in AXES if axis in {*told.axes, *more.axes})
-    both = replace(more, axes=axes, cause=surer.cause, confidence=surer.confidence, why=surer.why)
-    return replace(both, since=told.since, change={**more.change, **told.change})
+    both = replace(more, axes=tuple(axis for axis in AXES if axis in every), since=told.since)
+    change = {**more.change, **told.change}
+    return replace(both, change=change, cause=surer.cause, confidence=surer.confidence, why=surer.why)
 
 
 def _seen_in_z_or_yaw(looked: Mapping[tuple[str, ...], Sequence[Contrast]], first: Contrast) -> bool:
