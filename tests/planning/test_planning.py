@@ -225,6 +225,9 @@ def test_the_next_flight_flies_what_is_worst_known_and_shrinks_it() -> None:
         assert proposal.after["yaw"][name] < 0.3 * proposal.before["yaw"][name]
         assert proposal.after["x"][name] == pytest.approx(proposal.before["x"][name], rel=0.01)
     assert "of yaw is" in proposal.reason
+    assert "all targets are met" not in proposal.reason
+    known = belief_from_model(model_of(VEHICLE, CARD, error=0.001), "m.json")
+    assert next_flight(CARD, ROOM, known, 20.0, design="multisine").reason.endswith("so no further flight is needed")
 
 
 def test_the_worst_group_is_that_of_the_largest_ratio_among_the_commanded() -> None:

@@ -202,8 +202,9 @@ def _leaps(
         f"time at {when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
         f"jumps are fitted as motion that no command caused: {concerned} come out with wider intervals, and with few "
         "data biased",
-        "check the rigid body's markers for swaps and reflections; fit with --method robust, which leaves such poses "
-        "out, or leave the stretch out by --span",
+        "check the rigid body's markers for swaps and reflections; "
+        + ("fit with --method robust, which leaves poses out that come back, or " if back else "")
+        + "leave the stretch out by --span",
         "yaw" if what == "yaw" else None,
     )
 

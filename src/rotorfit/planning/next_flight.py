@@ -159,7 +159,10 @@ def _reason(ratio: Array, group: Sequence[str], named: bool) -> str:
     name, times = COEFFICIENTS[int(np.argmax(rows[axis]))], float(rows[axis].max())
     axes = "axis" if len(group) == 1 else "axes"
     chosen = f"the {axes} asked for" if named else f"the worst known {axes}"
-    return f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the target"
+    met = "; all targets are met, so no further flight is needed" if times <= 1 and not named else ""
+    return (
+        f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the target{met}"
+    )
 
 
 def _table(errors: Array) -> dict[str, dict[str, float]]:
