@@ -23,8 +23,12 @@ from rotorfit.simulation.paper_vehicle import Draw, SimulatedFlight, noise_free
 DRAWS = 50
 """Number of vehicles with which amplitudes are sought."""
 
-JUDGES = 200
+JUDGES = 100
 """Number of vehicles by which a plan is judged."""
+
+SHRUNK = 0.97
+"""Factor on the amplitudes of a plan that does not fit its judges: it seldom takes more than five, and a plan that
+leaves is soon known to."""
 
 _FRESH = 1_000_000
 """Added to the seed of a plan for the judges."""
@@ -269,6 +273,15 @@ def _second_half(progress: Progress | None) -> Progress | None:
 def largest_amplitude(plan: Plan, fleet: Sequence[Draw]) -> float:
     """The largest common factor up to 1 on all signals with which the plan stays in its space; 0 if none does."""
     return _largest_common(plan, _Trial(fleet[1:]), 1.0, None)
+
+
+def judged_amplitude(plan: Plan, judges: Sequence[Draw]) -> float:
+    """The largest common factor up to 1, in steps of `SHRUNK`, with which a plan stays in its space for its judges."""
+    trial = _Trial(judges[1:])
+    for factor in SHRUNK ** np.arange(10):
+        if trial.fits(with_amplitudes(plan, dict.fromkeys(AXES, float(factor)))):
+            return float(factor)
+    return _largest_common(plan, trial, float(factor), None)
 
 
 def _largest_common(

@@ -11,8 +11,8 @@ from rotorfit.core.flight_plan import Plan, Space
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, MEND
 from rotorfit.core.progress import Progress, part_of
-from rotorfit.planning.belief import Belief
-from rotorfit.planning.plan_flight import SHORTEST, TOGETHER, plan_with_information
+from rotorfit.planning.belief import Belief, belief_from_mapping, belief_mapping
+from rotorfit.planning.plan_flight import SHORTEST, TOGETHER, Fleets, plan_with_information
 from rotorfit.planning.precision import inverse_of, precision_of
 
 Table = Mapping[str, Mapping[str, float]]
@@ -89,12 +89,14 @@ def next_flight(
     group = tuple(axes) if axes else worst_group(before / wanted, free)
     designs = (design,) if design else TRIED
     plans, errors, left, refused = {}, {}, {}, []
+    shared = Fleets(belief_from_mapping(belief_mapping(belief), "the next flight"), duration, seed)
 
     def plan(name: str, length: float, part: Progress | None) -> tuple[Plan, Array]:
         """The flight of a design, and the standard errors with it added to the belief."""
         flight, information = plan_with_information(
             card, space, name, group, length, belief,
             amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part,
+            fleets=shared if length == duration else None,
         )  # fmt: skip
         return flight, errors_after(information, belief)
 

@@ -17,8 +17,8 @@ from rotorfit.planning.envelope import (
     ALLOWED,
     Envelope,
     fleet_of,
+    judged_amplitude,
     judges_of,
-    largest_amplitude,
     largest_amplitudes,
     predicted_path,
     refuse_if_outside,
@@ -136,6 +136,25 @@ def plan_flight(
     )[0]  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Fleets:
+    """The vehicles that fly plans of one belief, duration [s] and seed, drawn when they are first needed."""
+
+    belief: Belief
+    duration: float
+    seed: int
+
+    @functools.cached_property
+    def search(self) -> tuple[Draw, ...]:
+        """Those that fly every plan on the way."""
+        return fleet_of(self.belief, RATE, self.duration, seed=self.seed)
+
+    @functools.cached_property
+    def judges(self) -> tuple[Draw, ...]:
+        """Those by which a plan is judged."""
+        return judges_of(self.belief, RATE, self.duration, self.seed)
+
+
 def plan_with_information(
     card: Card,
     space: Space,
@@ -147,16 +166,21 @@ def plan_with_information(
     amplitude: float | None = None,
     open_loop: bool = False,
     seed: int = 0,
+    fleets: Fleets | None = None,
     progress: Progress | None = None,
 ) -> tuple[Plan, Array]:
-    """As `plan_flight`, with the information from which its standard errors are predicted, as of `informations`."""
+    """As `plan_flight`, with the information from which its standard errors are predicted, as of `informations`.
+
+    `fleets` may be those of another plan with the same belief, as its file holds it, duration and seed.
+    """
     _check_request(card, space, design, axes, duration, amplitude)
     if open_loop and design == "ident":
         raise PlanError("the ident manoeuvre is a position reference and needs its feedback: drop --open-loop")
     belief = belief_from_mapping(belief_mapping(belief), f"plan on {', '.join(axes)}")  # as its file will hold it
     wanted = _Wanted(
-        card, space, design, tuple(axis for axis in AXES if axis in axes), duration, belief, amplitude, seed
-    )
+        card, space, design, tuple(axis for axis in AXES if axis in axes), duration, belief, amplitude, seed,
+        fleets or Fleets(belief, duration, seed),
+    )  # fmt: skip
     loop, notes = _loop(wanted, open_loop)
     choice = _choice(wanted, loop, part_of(progress, 0, 2))
     return _finished(choice, wanted, notes, part_of(progress, 1, 2))
@@ -174,16 +198,7 @@ class _Wanted:
     belief: Belief
     amplitude: float | None
     seed: int
-
-    @functools.cached_property
-    def fleet(self) -> tuple[Draw, ...]:
-        """The vehicles that fly every plan on the way, from its seed."""
-        return fleet_of(self.belief, RATE, self.duration, seed=self.seed)
-
-    @functools.cached_property
-    def judges(self) -> tuple[Draw, ...]:
-        """The vehicles by which the plan is judged."""
-        return judges_of(self.belief, RATE, self.duration, self.seed)
+    fleets: Fleets
 
 
 @dataclass(frozen=True)
@@ -224,8 +239,8 @@ def _drift(wanted: _Wanted, bare: Feedback | None) -> tuple[str, float, float]:
         "hover", wanted.design, wanted.card.raw, RATE, wanted.duration, RAMP, (), bare, wanted.space,
         belief_mapping(wanted.belief),
     )  # fmt: skip
-    usual = wanted if wanted.seed == 0 else replace(wanted, seed=0)
-    extent, space, worst = predicted_path(hover, usual.fleet).extent, wanted.space, ("x", 0.0, 0.0)
+    usual = wanted.fleets if wanted.seed == 0 else Fleets(wanted.belief, wanted.duration, 0)
+    extent, space, worst = predicted_path(hover, usual.search).extent, wanted.space, ("x", 0.0, 0.0)
     for a, axis in enumerate(AXES[:3]):
         if bare is None or axis not in bare.axes:
             metres = float(max(space.start[a] - extent[0, a], extent[1, a] - space.start[a]))
@@ -242,7 +257,7 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
         0.0 if wanted.design in OPTIMAL else RAMP, (), loop, wanted.space, belief_mapping(belief), seed=wanted.seed,
     )  # fmt: skip
     if wanted.design in OPTIMAL:
-        hover = predicted_path(plan, wanted.fleet)
+        hover = predicted_path(plan, wanted.fleets.search)
         if not hover.fits:
             return _Choice(plan, dict.fromkeys(wanted.axes, 0.0))
         limits, criterion = _limits(wanted, hover), OPTIMAL[wanted.design]
@@ -257,8 +272,8 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
     if wanted.amplitude is not None:
         factors = dict.fromkeys(wanted.axes, wanted.amplitude)
     else:
-        factors = largest_amplitudes(plan, wanted.fleet, progress=progress)
-        common = largest_amplitude(with_amplitudes(plan, factors), wanted.judges)
+        factors = largest_amplitudes(plan, wanted.fleets.search, progress=progress)
+        common = judged_amplitude(with_amplitudes(plan, factors), wanted.fleets.judges)
         factors = {axis: common * factor for axis, factor in factors.items()}
     return _Choice(with_amplitudes(plan, factors), factors)
 
@@ -385,8 +400,8 @@ def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Prog
     if wanted.amplitude is None and not 0.995 <= min(factors) <= max(factors) <= 1.005:
         sizes = ", ".join(f"{axis} {factor:.2g}" for axis, factor in chosen.factors.items())
         notes = [*notes, f"scaled to fit the space, of full amplitude: {sizes}"]
-    envelope = predicted_path(chosen.plan, wanted.judges, part_of(progress, 0, 2))
-    refuse_if_outside(chosen.plan, wanted.judges, envelope, max(factors))
+    envelope = predicted_path(chosen.plan, wanted.fleets.judges, part_of(progress, 0, 2))
+    refuse_if_outside(chosen.plan, wanted.fleets.judges, envelope, max(factors))
     information = informations([chosen.plan], wanted.belief, seed=wanted.seed, progress=part_of(progress, 1, 2))
     prediction = prediction_mapping(chosen.plan, envelope, precision_of(information), chosen.factors, notes)
     return replace(chosen.plan, predicted=prediction), information
