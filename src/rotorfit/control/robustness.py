@@ -12,6 +12,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import (
+    NORMAL,
     STRUCTURE,
     Interval,
     Model,
@@ -26,9 +27,6 @@ from rotorfit.planning.belief import DELAY
 
 TINY = float(np.finfo(float).tiny)
 """Lower limit of the size of a loop whose gain is so small that it counts as zero."""
-
-NORMAL_95 = 1.96
-"""Half-width of a 95 % interval of a normal distribution, in standard deviations."""
 
 GRID = 300
 """Number of frequencies at which the loops of the draws are evaluated."""
@@ -175,8 +173,8 @@ def _further(known: Sequence[tuple[float, float]], end: float | None, side: floa
     """
     if end is None or not known:
         return 1.0
-    point, error = max(known, key=lambda one: side * one[0] + NORMAL_95 * one[1])
-    return max(side * (end - point) / (NORMAL_95 * error), 1.0)
+    point, error = max(known, key=lambda one: side * one[0] + NORMAL * one[1])
+    return max(side * (end - point) / (NORMAL * error), 1.0)
 
 
 def _drawn(

@@ -94,7 +94,7 @@ class Directions:
 def frame_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the frames of one flight; none where its directions are not significant."""
     card, flight, motion = recording.card, recording.flight, recording.motion
-    if wrong := _lying(recording) or _order(recording):
+    if wrong := _other_axis_up(recording) or _order(recording):
         yield wrong
         return
     moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
@@ -158,7 +158,7 @@ def strays_from_its_names(told: Answers) -> bool:
     return any(answer.axis and (answer.axis != name or answer.sign < 0) for name, answer in known)
 
 
-def _lying(recording: Recording) -> Finding | None:
+def _other_axis_up(recording: Recording) -> Finding | None:
     """Finding for a pose whose vertical axis is another one: its z does not answer the command of z."""
     pose, climbs = recording.card.pose, recording.answers.of.get("z")
     if climbs is None or climbs.axis not in ("x", "y") or not {"x", "y", "z"} <= pose.keys():

@@ -223,10 +223,10 @@ def set_back(stamps: Stamps) -> Mask:
     starts = np.flatnonzero(late & ~np.append(False, late[:-1]))
     if not starts.size:
         return out
-    in_time, never = stamps[~late], np.iinfo(np.int64)
+    prompt, never = stamps[~late], np.iinfo(np.int64)
     low = np.minimum.reduceat(np.where(late, stamps, never.max), starts)
     high = np.maximum.reduceat(np.where(late, stamps, never.min), starts)
-    passed = np.searchsorted(in_time, high, side="right") - np.searchsorted(in_time, low)
+    passed = np.searchsorted(prompt, high, side="right") - np.searchsorted(prompt, low)
     back = np.append(np.diff(stamps) < 0, False) & np.append(late[1:], False)
     in_order = np.add.reduceat(back, starts, dtype=np.int64) == 0
     lengths = np.add.reduceat(late, starts, dtype=np.int64)

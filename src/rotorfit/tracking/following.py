@@ -312,7 +312,7 @@ class Following:
         self._watch(scored, lengths, now)
         found = _rarest(known, flight, looked, lengths, threshold)
         if not found:
-            self._raised = self._joined(flight, now) if lengths is WINDOWS else None
+            self._raised = self._joined(flight, now) if lengths == WINDOWS else None
             return None
         names, first, p_value = found
         best = likeliest(scored[names], first, looked[names])

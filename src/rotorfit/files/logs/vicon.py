@@ -24,7 +24,7 @@ _MOST_SECTIONS, _FASTEST = 32, 1e6
 
 _GLOBAL = re.compile(r"Global Angle( \([^)]*\))? +")
 
-_KNOWN = re.compile(r".*position\.[xyz] (?:m|cm|mm)")
+_LENGTH = re.compile(r".*position\.[xyz] (?:m|cm|mm)")
 """Column and unit of a length whose unit is taken from the export."""
 
 _KINDS = {"T": "position", "R": "rotation"}
@@ -80,7 +80,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
         else:
             found[section.name] = Table(section.name, _columns(path, data, section, notes))
             named = zip(section.names, section.units, strict=False)
-            units |= {(section.name, name): unit for name, unit in named if _KNOWN.fullmatch(f"{name} {unit}")}
+            units |= {(section.name, name): unit for name, unit in named if _LENGTH.fullmatch(f"{name} {unit}")}
     if not found and not skipped:
         raise LogError(f"{path}: no section of the Vicon export can be understood; export it again as CSV")
     if not found and tables is None:
