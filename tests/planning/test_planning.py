@@ -17,6 +17,7 @@ from rotorfit.app.terminal.outlook import plan_view
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Plan, Sines, command_at
 from rotorfit.core.frames import AXES
+from rotorfit.diagnosis.doctor import SHORT_TIME
 from rotorfit.files.cards import load_card
 from rotorfit.files.models import save
 from rotorfit.files.plans import load_plan
@@ -228,6 +229,14 @@ def test_the_next_flight_flies_what_is_worst_known_and_shrinks_it() -> None:
     assert "all targets are met" not in proposal.reason
     known = belief_from_model(model_of(VEHICLE, CARD, error=0.001), "m.json")
     assert next_flight(CARD, ROOM, known, 20.0, design="multisine").reason.endswith("so no further flight is needed")
+
+
+def test_a_proposal_is_never_cut_to_what_a_fit_calls_short() -> None:
+    known = belief_from_model(model_of(VEHICLE, CARD, error=0.001), "m.json")
+    proposal = next_flight(CARD, ROOM, known, 40.0, design="multisine", axes=("z",))
+    assert proposal.plan.duration == pytest.approx(30.0)
+    assert proposal.plan.duration > SHORT_TIME
+    assert proposal.reason.endswith("their targets are met, so no further flight is needed")
 
 
 def test_the_worst_group_is_that_of_the_largest_ratio_among_the_commanded() -> None:

@@ -12,7 +12,7 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, MEND
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.planning.belief import Belief, belief_from_mapping, belief_mapping
-from rotorfit.planning.plan_flight import SHORTEST, TOGETHER, Fleets, plan_with_information
+from rotorfit.planning.plan_flight import TOGETHER, Fleets, plan_with_information
 from rotorfit.planning.precision import inverse_of, precision_of
 
 Table = Mapping[str, Mapping[str, float]]
@@ -20,6 +20,9 @@ Table = Mapping[str, Mapping[str, float]]
 WANTED = (0.02, 0.05, 0.005)
 """Target standard errors: of input and damping (relative), of the delay [s]. A judgement: a controller designed for a
 phase margin of 45 degrees is insensitive to them."""
+
+LEAST = 30.0
+"""Shortest flight to which a proposal is cut [s]: the intervals of a fit of less than 20 s are optimistic."""
 
 TRIED = ("multisine", "chirp", "optimal")
 """Designs that are compared if the user names none: those without hard steps, see `plan_flight.HARD`."""
@@ -152,7 +155,7 @@ def _enough(plan: Plan, after: Array, wanted: Array, axes: Sequence[str]) -> flo
     """Duration that reaches the targets on all axes, in steps of 10 s, as information grows with time [s]."""
     rows = (after / wanted).reshape(4, 3)[[AXES.index(axis) for axis in axes]]
     needed = 10 * np.ceil(plan.duration * float(rows.max()) ** 2 / 10)
-    return float(np.clip(needed, max(2 * SHORTEST, 20.0), plan.duration)) if plan.duration > 20 else plan.duration
+    return float(min(max(needed, LEAST), plan.duration))
 
 
 def _reason(ratio: Array, group: Sequence[str], named: bool) -> str:
@@ -161,7 +164,7 @@ def _reason(ratio: Array, group: Sequence[str], named: bool) -> str:
     name, times = COEFFICIENTS[int(np.argmax(rows[axis]))], float(rows[axis].max())
     axes = "axis" if len(group) == 1 else "axes"
     chosen = f"the {axes} asked for" if named else f"the worst known {axes}"
-    met = "; all targets are met, so no further flight is needed" if times <= 1 and not named else ""
+    met = f"; {'their' if named else 'all'} targets are met, so no further flight is needed" if times <= 1 else ""
     return (
         f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the target{met}"
     )
