@@ -556,6 +556,18 @@ def test_rotorpys_velocity_command_becomes_the_command_whose_steady_speed_it_is(
     assert state["v"] == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
 
 
+def test_a_second_run_of_rotorpy_begins_like_the_first(run: ModuleType, model: Model, tmp_path: Path) -> None:
+    vehicle = run.loaded(export(model, "rotorpy"), tmp_path).Vehicle(pose=(0.0, 0.0, 1.0, 0.5))
+    runs = []
+    for _ in range(2):
+        state = vehicle.initial_state
+        for _ in range(50):
+            state = vehicle.step(state, {"cmd_model": [0.2, -0.1, 0.1, 0.3]}, 0.02)
+        runs.append(state["x"])
+
+    np.testing.assert_array_equal(runs[1], runs[0])
+
+
 def test_the_example_in_the_header_of_rotorpys_vehicle_runs(run: ModuleType, model: Model, tmp_path: Path) -> None:
     needed(run, "rotorpy")
     module = run.loaded(export(model, "rotorpy"), tmp_path)
@@ -669,8 +681,18 @@ def test_unknown_formats_and_sample_periods_are_refused(model: Model, tmp_path: 
         export(model, "matlab", tmp_path / "My-Drone.m")
     with pytest.raises(ExportError, match=r"call it model_step\.m"):
         export(model, "matlab", tmp_path / "step.m")
-    with pytest.raises(ExportError, match="imports a module of this name"):
-        export(model, "numpy", tmp_path / "numpy.py")
+    for to, name in (("numpy", "numpy.py"), ("python-control", "scipy.py")):
+        with pytest.raises(ExportError, match="imports a module of this name"):
+            export(model, to, tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "name", ["ceil", "cos", "diff", "eye", "floor", "max", "numel", "repmat", "sin", "sum", "unique", "zeros"]
+)
+def test_no_matlab_file_hides_a_function_that_it_calls(model: Model, tmp_path: Path, name: str) -> None:
+    assert f"{name}(" in export(model, "matlab").text
+    with pytest.raises(ExportError, match=rf"call it model_{name}\.m"):
+        export(model, "matlab", tmp_path / f"{name}.m")
 
 
 def cli(*arguments: object) -> Any:

@@ -27,9 +27,11 @@ _WORDS = """
 
 _FUNCTIONS = "ans derivative flow memory parameters segments simulate start step"
 
-TAKEN = frozenset(f"{_WORDS} {_FUNCTIONS}".split())
-"""Reserved words of MATLAB and Octave, and the functions of our file for them, beside which the name stands alone;
-elsewhere it gets a prefix or suffix."""
+_CALLED = "ceil cos diff eye floor max numel repmat sin sum unique zeros"
+
+TAKEN = frozenset(f"{_WORDS} {_FUNCTIONS} {_CALLED}".split())
+"""Reserved words of MATLAB and Octave, the functions of our file for them, beside which the name stands alone, and
+those that it calls, which a file of the same name would hide; elsewhere it gets a prefix or suffix."""
 
 
 @dataclass(frozen=True)
