@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from flights import flown, steps
-from rotorfit.assessment.validation import coefficient_covariance, residual_tests_of_flight, residuals, validate
+from other_laws import flown_by
+from rotorfit.assessment.validation import parameter_covariance, residual_tests_of_flight, residuals, validate
 from rotorfit.assessment.whiteness import (
     autocorrelation,
     cross_correlation,
@@ -17,7 +18,7 @@ from rotorfit.assessment.whiteness import (
 )
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.model import COEFFICIENTS, Model, Predictor
 from rotorfit.core.residuals import Innovations, ResidualTests
 from rotorfit.estimation.fitting import fit
 from rotorfit.simulation.paper_vehicle import Controller, Truth
@@ -270,9 +271,31 @@ def test_the_interval_of_the_flight_is_that_of_its_sensitivities_and_the_covaria
     ends = np.array([model.axes["x"].ci95_flight[name] for name in COEFFICIENTS], float)
     ends[1] = np.log(ends[1])
     np.testing.assert_allclose(own, np.ptp(ends, axis=1) / (2 * 1.96), rtol=0.05)
-    vehicle = np.sqrt(np.diag(coefficient_covariance(model, "x")))
+    vehicle = np.sqrt(np.diag(parameter_covariance(model, "x")))
     assert (own < vehicle).all()
     assert (vehicle < 2.5 * own).all()
+
+
+def test_what_the_lag_may_be_off_by_is_not_held_against_the_model() -> None:
+    """A lag that is off by 3 standard errors, and what it takes the coefficients along with, as 15 s allow."""
+    model = fit([flown_by("first_order_delay_lag", duration=15.0, wind=0.05, noise=0.001)], axes=("z",)).model
+    other = flown_by("first_order_delay_lag", duration=60.0, seed=2, wind=0.05, noise=0.001)
+    z, point, covariance = model.axes["z"], model.axes["z"].predictor, parameter_covariance(model, "z")
+    assert point is not None
+    assert covariance[3, 3] == pytest.approx((z.stderr["lag"] / point.extra["lag"]) ** 2)
+
+    gain, damping, delay, lag = 3 * covariance[:, 3] / np.sqrt(covariance[3, 3])
+    extra = {"lag": point.extra["lag"] * np.exp(lag)}
+    off = Predictor(point.input + gain, point.damping * np.exp(damping), point.delay + delay, extra)
+    moved = replace(model, axes={**model.axes, "z": replace(z, predictor=off)})
+    found = residuals(moved, other, own_levels=True)["z"]
+    whole, without = (
+        residual_tests(found.innovations, found.innovation, known, 0.0)
+        for known in (covariance, covariance * np.outer([1, 1, 1, 0], [1, 1, 1, 0]))
+    )
+    assert whole is not None
+    assert without is not None
+    assert (whole.follows_command, without.follows_command) == (False, True)
 
 
 def test_a_wrong_delay_is_seen_in_the_commands_that_the_innovations_follow() -> None:

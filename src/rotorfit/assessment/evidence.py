@@ -12,9 +12,9 @@ from rotorfit.assessment.case import Case, paired_cases
 from rotorfit.assessment.frequency.comparison import response_test
 from rotorfit.assessment.rows import CoefficientRow, HorizonErrors, coefficient_rows, scores_of
 from rotorfit.assessment.validation import (
-    coefficient_covariance,
     dynamics_from_model,
     paper_dynamics,
+    parameter_covariance,
     residual_tests_of_flight,
     residuals,
 )
@@ -155,7 +155,7 @@ def correlograms(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, Cor
     white, free = {}, {}
     for axis, found in parts.items():
         if found:
-            covariance = coefficient_covariance(model, axis)
+            covariance = parameter_covariance(model, axis)
             white[axis] = _pooled_lags([autocorrelation(p.time, p.innovation, LAGS) for p in found])
             free[axis] = _pooled_lags([cross_correlation(p, covariance) for p in found])
     return white, free

@@ -254,7 +254,7 @@ def _tests_of_record(model: Model, flight: Flight, rec: Record) -> dict[str, Res
     for axis, each in _residuals_of(model, flight, rec, own).items():
         if axis not in flight.moved:
             continue
-        covariance = np.zeros((3, 3)) if fitted else coefficient_covariance(model, axis)
+        covariance = parameter_covariance(model, axis) * (not fitted)
         training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)
         share = flight.duration / training if training > 0 and not fitted else 0.0
         innovation = at_fitted.score.innovations[0][:, rec.axes.index(axis)]
@@ -263,15 +263,21 @@ def _tests_of_record(model: Model, flight: Flight, rec: Record) -> dict[str, Res
     return found
 
 
-def coefficient_covariance(model: Model, axis: str) -> Array:
-    """Covariance of input, log damping and delay of an axis, shape (3, 3); zero where the model has none."""
-    out, names = np.zeros((3, 3)), list(model.covariance_names)
+def parameter_covariance(model: Model, axis: str) -> Array:
+    """Covariance of input, log damping, delay and the n further parameters of an axis, in the estimator's coordinates.
+
+    Shape (3 + n, 3 + n); zero where the model has none.
+    """
     point = predictor_of(model, axis)
-    known = [(i, names.index(name)) for i, c in enumerate(COEFFICIENTS) if (name := f"{axis}.{c}") in names]
-    for i, at in known:
-        for j, beside in known:
+    extras = _law(model.axes[axis].structure, point).extras
+    names, known = (*COEFFICIENTS, *(extra.name for extra in extras)), list(model.covariance_names)
+    further = [1 / point.extra[extra.name] if extra.logarithmic else 1.0 for extra in extras]
+    scale = np.array([1.0, 1 / max(point.damping, 1e-3), 1.0, *further])
+    out = np.zeros((len(names), len(names)))
+    told = [(i, known.index(name)) for i, each in enumerate(names) if (name := f"{axis}.{each}") in known]
+    for i, at in told:
+        for j, beside in told:
             out[i, j] = model.covariance[at, beside]
-    scale = np.array([1.0, 1 / max(point.damping, 1e-3), 1.0])
     return out * np.outer(scale, scale)
 
 
@@ -384,7 +390,7 @@ def _explained(model: Model, rec: Record, own_levels: bool) -> Optimum:
         log_damping=np.log([max(point.damping, 1e-3) for point in points]),
         delay=np.array([point.delay for point in points]),
     )
-    start = _with_structures(start, [structure_named(model.axes[axis].structure) for axis in rec.axes], points)
+    start = _with_structures(start, [model.axes[axis].structure for axis in rec.axes], points)
     free = np.zeros(start.flat().size, bool)
     free[start.coefficients : None if own_levels else start.n] = True
     return maximise([rec], start, free)
@@ -403,7 +409,7 @@ def _residuals_of(model: Model, flight: Flight, rec: Record, best: Optimum) -> d
             best.score.innovations[0][:, k],
             explained[:, k],
             _past(flight, AXES.index(axis), rec.block_time),
-            _sensitivity(rec, rows[:, :, k], k),
+            _sensitivity(rec, rows[:, :, k], best.point, k),
         )
         for k, axis in enumerate(rec.axes)
         if model.axes[axis].predictor
@@ -423,26 +429,31 @@ def _past(flight: Flight, k: int, time: Array) -> Array:
     return out
 
 
-def _sensitivity(rec: Record, rows: Array, k: int) -> Array:
-    """Whitened sensitivities to input, log damping and delay, minus what trim and start can absorb, shape (B, 3).
+def _sensitivity(rec: Record, rows: Array, point: Point, k: int) -> Array:
+    """Whitened sensitivities to the parameters of `parameter_covariance`, minus what trim and start can absorb, (B, P).
 
     Args:
         rec: The flight.
         rows: Whitened sensitivities of the axis, d/d(g, log b, tau, further parameters, c, v0), K columns each.
+        point: Its laws are those of the axes.
         k: Index of the axis among the K.
     """
     K = len(rec.axes)
     starts = [rows[:, -K:] * (rec.segment == number)[:, None] for number in range(rec.starts.size)]
-    own, others = rows[:, [k, K + k, 2 * K + k]], np.hstack([rows[:, -2 * K : -K], *starts])
+    own = rows[:, [point.place(name, k) for name in (*COEFFICIENTS, *point.extra_values(k))]]
+    others = np.hstack([rows[:, -2 * K : -K], *starts])
     return np.asarray(own - others @ np.linalg.lstsq(others, own)[0])
 
 
-def _with_structures(point: Point, structures: Sequence[Structure], known: Sequence[Predictor]) -> Point:
+def _law(structure: str, known: Predictor) -> Structure:
+    """The law of an axis; the first-order law with a delay where it has no numbers."""
+    law = structure_named(structure)
+    return law if set(known.extra) == {extra.name for extra in law.extras} else FIRST_ORDER_DELAY
+
+
+def _with_structures(point: Point, structures: Sequence[str], known: Sequence[Predictor]) -> Point:
     """The point with the structures of a model and their further parameters; axes without numbers have none."""
-    laws = tuple(
-        s if set(p.extra) == {e.name for e in s.extras} else FIRST_ORDER_DELAY
-        for s, p in zip(structures, known, strict=True)
-    )
+    laws = tuple(_law(s, p) for s, p in zip(structures, known, strict=True))
     extra = np.zeros((max(len(law.extras) for law in laws), len(laws)))
     for k, (law, one) in enumerate(zip(laws, known, strict=True)):
         extra[: len(law.extras), k] = [e.coordinate(one.extra[e.name]) for e in law.extras]

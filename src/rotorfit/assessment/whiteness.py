@@ -78,7 +78,7 @@ def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogra
 
     Args:
         innovations: Innovations of one axis.
-        covariance: Covariance of the coefficients, as for `residual_tests`.
+        covariance: Covariance of the parameters, as for `residual_tests`.
 
     Source: Ljung 1999, section 16.6: the variance is the sum of the products of both autocovariances, here estimated
     from the products themselves (W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708).
@@ -104,8 +104,8 @@ def residual_tests(
     Args:
         innovations: Innovations at this flight's own disturbance levels.
         at_fitted_levels: Innovations at the levels of the fit, shape (B,).
-        covariance: Covariance of input, log damping and delay, shape (3, 3), for a model from other flights; zeros if
-            it was fitted to this one.
+        covariance: Covariance of the parameters of the sensitivities, shape (P, P), for a model from other flights;
+            zeros if it was fitted to this one.
         training_share: Duration of this flight over that of the flights of the fit, to allow for the error of its
             levels.
     """
@@ -161,7 +161,7 @@ def _independence(innovations: Innovations, covariance: Array) -> tuple[float | 
 def _with_command(innovations: Innovations, u: Array, covariance: Array) -> tuple[Array, Array]:
     """Products of innovations and past commands (B, m), summed, and the covariance of the sums.
 
-    The covariance includes the uncertainty of the model's own coefficients.
+    The covariance includes the uncertainty of the model's own parameters.
 
     Source: lags of the kernel by W. K. Newey, K. D. West, Rev. Econ. Stud. 61 (1994), pp. 631-653: 4 (B / 100)^(2/9).
     """
@@ -173,14 +173,14 @@ def _with_command(innovations: Innovations, u: Array, covariance: Array) -> tupl
 
 
 def _optimism(innovations: Innovations, colour: Array) -> dict[str, float]:
-    """Ratio of each estimate's standard deviation with innovations of this colour to that with white ones.
+    """Ratio of each coefficient's standard deviation with innovations of this colour to that with white ones.
 
     Source: Bartlett's formula: the sum over the lags of the products of both autocorrelations, here of the innovations
     and of their weights in the estimate, up to the reach of the tests.
     """
     X = innovations.sensitivity
     out, fading = {}, 1 - np.arange(1, colour.size + 1) / (colour.size + 1)
-    for name, weight in zip(COEFFICIENTS, (X @ np.linalg.pinv(X.T @ X, hermitian=True)).T, strict=True):
+    for name, weight in zip(COEFFICIENTS, (X @ np.linalg.pinv(X.T @ X, hermitian=True)).T, strict=False):
         power = float(weight @ weight)
         own = np.array([float(weight[k:] @ weight[:-k]) / power for k in range(1, colour.size + 1)])
         out[name] = float(np.sqrt(max(0.0, 1 + 2 * float(np.sum(fading * colour * own)))))

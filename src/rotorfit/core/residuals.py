@@ -15,8 +15,8 @@ class Innovations:
         time: Shape (B,) [s].
         innovation: Shape (B,): white and of unit variance if the model is right.
         past: Command of the axis k blocks before, for k = 1 ... L, up to one second, shape (B, L).
-        sensitivity: Negative derivative of the innovations with respect to input, log damping and delay, with the part
-            that trim and initial state can absorb removed, shape (B, 3).
+        sensitivity: Negative derivative of the innovations with respect to input, log damping, delay and further
+            parameters of the law, with the part that trim and initial state can absorb removed, shape (B, P).
     """
 
     time: Array
