@@ -1,5 +1,6 @@
 """Margins of vehicles drawn from a covariance: the same as one by one, and what is not known at all."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,8 @@ from rotorfit.control.robustness import (
     robustness,
 )
 from rotorfit.core.errors import ModelError
-from rotorfit.core.model import Model, Plain, first_order
+from rotorfit.core.frames import Array
+from rotorfit.core.model import Interval, Model, Plain, Predictor, first_order
 from rotorfit.planning.belief import DELAY
 
 
@@ -117,3 +119,57 @@ def test_a_side_on_which_the_interval_reaches_further_than_the_standard_error_is
     low, high = np.quantile(drawn, [0.025, 0.975])
     assert (g - low) / error == pytest.approx(1.96, rel=0.1)
     assert (high - g) / error == pytest.approx(10.0, rel=0.1)
+
+
+def known_as(point: Predictor, covariance: Array, ci95: Mapping[str, Interval]) -> Model:
+    """A model of x under the first-order law, as a flight may know it."""
+    model = model_of()
+    names, (input_, damping, delay) = ("x.input", "x.damping", "x.delay"), np.sqrt(np.diag(covariance))
+    x = replace(
+        model.axes["x"],
+        input=point.input,
+        damping=point.damping,
+        delay=point.delay,
+        predictor=point,
+        ci95=dict(ci95),
+        stderr={"input": input_, "damping": damping, "delay": delay},
+    )
+    return replace(model, axes={**model.axes, "x": x}, covariance_names=names, covariance=covariance)
+
+
+def test_vehicles_far_out_keep_the_steady_gain_and_the_total_lag_that_the_data_tell() -> None:
+    """From slow sines input and damping are known only together; the interval of damping reaches four times as far."""
+    g, b, tau = 2.0, 1.8, 0.4
+    along, gain, lag = (
+        np.array([g / b, 1.0, 1 / b**2]),
+        np.array([1 / b, -g / b**2, 0.0]),
+        np.array([0.0, -1 / b**2, 1.0]),
+    )
+    across = np.linalg.pinv(np.array([gain, lag]))
+    covariance = 0.2**2 * np.outer(along, along) + across @ np.diag([0.02, 0.01]) ** 2 @ across.T
+    error = np.sqrt(covariance[1, 1])
+    model = known_as(Predictor(g, b, tau), covariance, {"damping": (b - 1.96 * error, b + 8 * error)})
+
+    drawn = np.array(believed_possible(model, "x", 4000, 0))
+
+    assert np.quantile(drawn[:, 1], 0.975) == pytest.approx(b + 8 * error, rel=0.05)
+    assert np.std(drawn[:, 0] / drawn[:, 1]) < 0.04
+    assert np.std(drawn[:, 2] + 1 / drawn[:, 1]) < 0.02
+
+
+def test_a_delay_that_is_known_better_than_the_total_lag_keeps_its_error() -> None:
+    model = known_as(Predictor(10.0, 0.15, 0.2), np.diag([0.1, 0.03, 0.01]) ** 2, {})
+
+    assert np.std(np.array(believed_possible(model, "x", 4000, 0))[:, 2]) == pytest.approx(0.01, rel=0.05)
+
+
+def test_a_sign_that_the_interval_excludes_is_the_tail_of_a_normal_distribution_and_no_vehicle() -> None:
+    point, covariance = Predictor(3.7, 0.18, 0.15), np.diag([2.2, 0.1, 0.03]) ** 2
+    model = known_as(point, covariance, {"input": (0.3, 9.0), "damping": (0.02, 0.5)})
+
+    vehicles = np.array(believed_possible(known_as(point, covariance, {}), "x", 500, 0))[:, :2]
+    known = np.array(believed_possible(model, "x", 500, 0))[:, :2]
+
+    assert (vehicles < 0).any()
+    assert 400 < len(known) < 500
+    assert (known > 0).all()

@@ -89,7 +89,7 @@ def test_axes_without_numbers_are_refused_in_a_line_and_all_of_them_is_an_error(
 
 def test_a_vehicle_that_is_hardly_known_gets_no_gains() -> None:
     with pytest.raises(ModelError, match="too poorly known"):
-        tune(model_of(error=0.6), "linearising", axes=("x",), draws=20)
+        tune(model_of(error=0.6), "linearising", axes=("x",), draws=100)
 
 
 def test_noisy_poses_get_a_slower_filter() -> None:

@@ -10,7 +10,7 @@ from rotorfit.control.loop_vehicle import LoopVehicle, has_own_margins, loop_veh
 from rotorfit.control.margins import frequencies, law_response, spectral_radius, vehicle_response
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
-from rotorfit.core.laws import structure_named
+from rotorfit.core.laws import LAG, ZERO, structure_named
 from rotorfit.core.model import (
     NORMAL,
     STRUCTURE,
@@ -122,7 +122,17 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
     beside = known.plain if len(laws) == 1 and laws[0].structure != known.structure else None
     ci95 = beside.ci95 if beside else known.ci95
     reach = _reach(laws, ci95)
-    return [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
+    drawn = [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
+    return [one for one in drawn if not _is_excluded(one, ci95)]
+
+
+def _is_excluded(vehicle: LoopVehicle, ci95: Mapping[str, Interval]) -> bool:
+    """Whether gain or damping have a sign that their interval excludes: a tail of the normal distribution."""
+    for name, value in (("input", vehicle.gain), ("damping", vehicle.damping)):
+        low, high = ci95.get(name, (None, None))
+        if low is not None and high is not None and low * high > 0 and value * low <= 0:
+            return True
+    return False
 
 
 def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
@@ -182,31 +192,48 @@ def _drawn(
 ) -> list[LoopVehicle]:
     """Vehicles drawn from the distribution of one law, further out to the sides that `reach` names.
 
-    Where a lag or a zero would leave its range, it stays at the end, and the delay takes up what is left: the data tell
-    their sum better than the parts.
+    Of the delay, its sum with what else makes the answer late, and the total lag, the data may tell one much better
+    than the others. The best known keeps its distribution where others are far out, and the delay is what is left.
     """
     structure, point = structure_named(law.structure), law.predictor
-    extras = {one.name: one for one in structure.extras}
-    center = {"input": point.input, "damping": point.damping, "delay": point.delay, **point.extra}
-    # what delay and zero do alike may have thousands of seconds of error, next to which rounding looks like indefinite
-    off = rng.multivariate_normal(np.zeros(len(law.stderr)), law.covariance, count, check_valid="ignore")
-    values = {name: np.full(count, value) for name, value in center.items()}
-    for name, moved in zip(law.stderr, off.T, strict=True):
-        down, up = reach.get(name, (1.0, 1.0))
-        values[name] = values[name] + moved * np.where(moved < 0, down, up)
+    off = dict.fromkeys(("input", "damping", "delay", *point.extra), np.zeros(count)) | _errors(law, count, rng, reach)
+    gain, damping = point.input + off["input"], point.damping + off["damping"]
+    late, extra = np.zeros((3, count)), {}  # at the estimate, its change to first order, and as drawn
+    for one in structure.extras:
+        value, change = point.extra[one.name], off[one.name]
+        extra[one.name] = np.clip(value + change, one.low, one.high)
+        sign = 1.0 if one.place == LAG and structure.order == 1 else -1.0 if one.place == ZERO else 0.0
+        late += sign * np.array([np.full(count, value), change, extra[one.name]])
+    slow = np.array([np.full(count, 1 / point.damping), -off["damping"] / point.damping**2, 1 / damping])
+    rest = min((0.0 * late, late, late + slow), key=lambda each: float(np.std(off["delay"] + each[1])))
+    delay = point.delay + off["delay"] + rest[0] + rest[1] - rest[2]
     if "delay" not in law.stderr:
-        values["delay"] = rng.normal(*DELAY, count)
-    for name, extra in extras.items():
-        inside = np.clip(values[name], extra.low, extra.high)
-        values["delay"] = values["delay"] + (values[name] - inside) * (-1.0 if name == "zero" else 1.0)
-        values[name] = inside
+        delay = rng.normal(*DELAY, count)
+    for one in structure.extras:
+        if one.place == ZERO:  # no vehicle moves before its command: then it is the zero that makes the answer early
+            extra[one.name] = np.minimum(extra[one.name] - np.minimum(delay, 0.0), one.high)
     drawn = []
-    for row in zip(*(values[name].tolist() for name in center), strict=True):
-        gain, damping, delay, *rest = row
-        drawn.append(
-            loop_vehicle(structure, Predictor(gain, damping, delay, dict(zip(point.extra, rest, strict=True))))
-        )
+    for g, b, tau, *further in np.column_stack([gain, damping, delay, *extra.values()]).tolist():
+        drawn.append(loop_vehicle(structure, Predictor(g, b, tau, dict(zip(extra, further, strict=True)))))
     return [one for one in drawn if one is not None]
+
+
+def _errors(
+    law: Weighed, count: int, rng: np.random.Generator, reach: Mapping[str, tuple[float, float]]
+) -> dict[str, Array]:
+    """Errors of the parameters of a law drawn from their distribution, by name, shape (count,).
+
+    Where an interval reaches further to a side than its standard error, the parameter goes there and takes along what
+    is correlated with it: gain and damping far out are possible together, at the steady gain that the data tell.
+    """
+    names = sorted(law.stderr, key=lambda name: -max(reach.get(name, (1.0, 1.0))))
+    at = [list(law.stderr).index(name) for name in names]
+    value, vector = np.linalg.eigh(np.array(law.correlation)[np.ix_(at, at)])  # a zero may do what the delay does
+    R = np.linalg.qr((vector * np.sqrt(np.maximum(value, 0.0))).T, mode="r")
+    own = rng.standard_normal((count, len(names)))  # of each parameter, given those before it
+    down, up = np.array([reach.get(name, (1.0, 1.0)) for name in names]).T
+    errors = (own * np.where(own < 0, down, up)) @ (R * np.copysign(1.0, np.diag(R))[:, None])
+    return {name: law.stderr[name] * error for name, error in zip(names, errors.T, strict=True)}
 
 
 def doubt(vehicles: Sequence[LoopVehicle], period: float, latency: float, seed: int) -> Doubt:

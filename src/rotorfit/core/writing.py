@@ -39,7 +39,7 @@ def write_result(path: str | Path, content: str | bytes) -> Path | None:
     """Writes a file that the user has named, as `write_whole` does.
 
     Raises:
-        LogError: Its folder is missing.
+        LogError: Its folder is missing, or it is a folder itself.
         OSError: As `write_whole`.
     """
     check_folder(Path(path))
@@ -47,13 +47,15 @@ def write_result(path: str | Path, content: str | bytes) -> Path | None:
 
 
 def check_folder(path: Path) -> None:
-    """Refuses a path whose folder is missing.
+    """Refuses a path whose folder is missing, or that is one.
 
     Raises:
-        LogError: There is no such folder.
+        LogError: There is no such folder, or no file can have its name.
     """
     if not path.resolve().parent.is_dir():
         raise LogError(f"{path}: there is no folder {path.parent}; make it first")
+    if path.is_dir():
+        raise LogError(f"{path} is a folder; name a file in it")
 
 
 def check_place(path: Path) -> None:

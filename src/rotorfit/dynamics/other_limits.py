@@ -55,11 +55,13 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
 
     Raises:
         CardError: An invalid limit, unit or size.
-        ModelError: The card has no value of the limit, no command of the card is a fraction of it, or the limits
-            are already those of the model.
+        ModelError: No limit is named, the card has no value of one, no command of the card is a fraction of it, or
+            the limits are already those of the model.
 
     Source: at constant height a tilt t accelerates by 9.81 tan(t).
     """
+    if not limits:
+        raise ModelError("no limit is named: give one of the card's, such as tilt, with its new value")
     card = _card_under(model, limits)
     factors = dict.fromkeys(AXES, 1.0)
     for limit in limits:

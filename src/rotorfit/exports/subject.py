@@ -173,8 +173,9 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
             missing[name] = f"the model has no numbers for it ({axis.status['input']})"
         elif unknown and predictor:
             notes.append(
-                f"{name} is exported by the point that predicts best, as was asked: the data cannot tell "
-                f"{listed(unknown)}, so single coefficients may be far off."
+                f"{name} is exported by the point that predicts best, as was asked: the data "
+                f"{'deny the law of' if axis.status['input'] == 'refuted' else 'cannot tell'} {listed(unknown)}, so "
+                "single coefficients may be far off."
             )
         elif unknown:
             axes[name] = replace(axis, predictor=None)
