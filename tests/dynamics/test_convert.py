@@ -202,6 +202,11 @@ def test_what_cannot_be_converted_is_one_line_that_says_why(
     assert "\n" not in str(error.value)
 
 
+def test_a_conversion_to_no_limit_at_all_says_so() -> None:
+    with pytest.raises(ModelError, match="no limit is named"):
+        convert(model_of(), {})
+
+
 # The command line
 
 

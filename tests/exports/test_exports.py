@@ -21,10 +21,10 @@ import pytest
 from click.testing import CliRunner
 
 from flights import CARD, by_hand
-from models import model_of
+from models import demo_card, model_of
 from rotorfit.app.cli import main
 from rotorfit.assessment.validation import to_mapping
-from rotorfit.core.errors import ExportError
+from rotorfit.core.errors import ExportError, ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model, Predictor, unknown_axis
 from rotorfit.core.results import AxisScore, FlightScores, Horizon, Validation
@@ -285,6 +285,15 @@ def test_a_structures_further_parameter_that_is_not_known_leaves_the_axis_out(mo
 
     assert made.axes == ("x", "z", "yaw")
     assert "the data cannot tell lag" in made.notes[0]
+
+
+def test_commands_of_coupled_axes_in_different_units_are_not_made_physical(model: Model) -> None:
+    coupled = with_laws(model, dict.fromkeys(("x", "y"), ("coupled", OTHERS["coupled"])))
+    mixed = demo_card(x="{ from = 'a', meaning = 'tilt', full_scale = 'tilt' }", y="{ from = 'b', unit = 'rad' }")
+
+    export(coupled, "numpy", physical=True)
+    with pytest.raises(ModelError, match="x also answers to the command of y"):
+        export(replace(coupled, card=mixed), "numpy", physical=True)
 
 
 def test_an_axis_that_is_coupled_with_one_that_is_left_out_goes_too(model: Model) -> None:

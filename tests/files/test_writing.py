@@ -73,6 +73,8 @@ def test_a_place_that_takes_no_file_is_told_beforehand_and_nothing_is_left_there
         check_place(tmp_path / "none" / "model.json")
     with pytest.raises(LogError, match="cannot be written"):
         check_place(Path("/proc/model.json"))
+    with pytest.raises(LogError, match="is a folder; name a file in it"):
+        save(only_z(), tmp_path)
 
 
 @pytest.mark.parametrize("fails", ["fsync", "replace"])

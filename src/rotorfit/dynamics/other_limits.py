@@ -32,7 +32,7 @@ PER_COMMAND: Mapping[str, int] = {
 
 A new parameter in the unit of the command needs a row here: coefficients, errors, intervals, combinations, optima,
 predictor and covariance are all scaled by this table. `cross_input` is per command of the other horizontal axis, which
-has the same limit.
+has the same limit: see `check_cross_inputs`.
 """
 
 
@@ -55,8 +55,8 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
 
     Raises:
         CardError: An invalid limit, unit or size.
-        ModelError: No limit is named, the card has no value of one, no command of the card is a fraction of it, or
-            the limits are already those of the model.
+        ModelError: No limit is named, the card has no value of one, no command of the card is a fraction of it, the
+            limits are already those of the model, or its laws do not allow it, see `check_cross_inputs`.
 
     Source: at constant height a tilt t accelerates by 9.81 tan(t).
     """
@@ -69,6 +69,7 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
             factors[axis] = gain_factor(limit, model.card.limits[limit], card.limits[limit])
     if card.limits == model.card.limits:
         raise ModelError(f"the model already has this {' and '.join(limits)}: nothing to convert")
+    check_cross_inputs(model, factors)
     converted = replace(
         model,
         card=card,
@@ -83,6 +84,21 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
         leave_one_out=None,
     )
     return with_findings(converted, _findings(converted))
+
+
+def check_cross_inputs(model: Model, factors: Mapping[str, float]) -> None:
+    """Refuses factors on the gains that differ between x and y, where one also answers to the command of the other.
+
+    Raises:
+        ModelError: They do.
+    """
+    for axis, other in (("x", "y"), ("y", "x")):
+        point = model.axes[axis].predictor
+        if point and "cross_input" in point.extra and factors[axis] != factors[other]:
+            raise ModelError(
+                f"{axis} also answers to the command of {other}, which would change by another factor: fit another "
+                "law, such as --structure averaged"
+            )
 
 
 def _card_under(model: Model, limits: Mapping[str, Any]) -> Card:

@@ -9,7 +9,7 @@ from rotorfit.core.laws import Structure, structure_named
 from rotorfit.core.limits import COMMAND_UNITS, CommandMeaning, command_of, meaning_of
 from rotorfit.core.model import FROZEN, MEND, PLANNED, Axis, Model, Predictor
 from rotorfit.core.plain import by_reason, listed
-from rotorfit.dynamics.other_limits import scaled
+from rotorfit.dynamics.other_limits import check_cross_inputs, scaled
 
 SUBSTEP = 0.1
 """Longest Runge-Kutta step over the shortest time constant: relative error 1e-6 or less."""
@@ -214,7 +214,7 @@ def size_of(subject: Subject, axis: str) -> float:
 
 def _physical(model: Model) -> tuple[Model, list[str]]:
     """The model with commands in SI units: gains divided by the limit that a command of 1 stands for."""
-    axes, notes = dict(model.axes), []
+    axes, notes, factors = dict(model.axes), [], dict.fromkeys(AXES, 1.0)
     for name, axis in model.axes.items():
         if axis.predictor is None:
             continue
@@ -225,11 +225,13 @@ def _physical(model: Model) -> tuple[Model, list[str]]:
                 f"physical commands: {why}; add it to the card and fit again, or export without --physical"
             )
         if meaning.limit and meaning.setting:
-            axes[name] = replace(axis, predictor=scaled(axis.predictor, 1 / meaning.setting))
+            factors[name] = 1 / meaning.setting
+            axes[name] = replace(axis, predictor=scaled(axis.predictor, factors[name]))
             notes.append(
                 f"The command of {name} is physical: what the vehicle takes is this divided by {meaning.setting:.10g} "
                 f"{COMMAND_UNITS[meaning.asked]}, its limit in the training flights."
             )
+    check_cross_inputs(model, factors)
     return replace(model, axes=axes), notes
 
 
