@@ -8,7 +8,8 @@ at the last pose with an observer, and propagates them over the delay with the c
 `linearising` law and the `pid` use the error of the last pose instead, and its integral for d.
 
 All gains follow from the model and one number, the bandwidth w. Both poles of the tracking error are at -w: K = w^2,
-D = 2 w - b. A vehicle whose own damping is faster than that keeps its pole: D = 0, K = w (b - w). The slow disturbance
+D = 2 w - b. Where b > 2 w that would speed nothing up: D = 0, K = w (b - w), with poles at -w and
+-(b - w). The slow disturbance
 is rejected at SLOW w, by the third pole of an observer or the pole of an integral. For LQR, w^4 is the weight of the
 squared error relative to that of the squared acceleration: without damping its poles are those of a Butterworth filter
 of that frequency.

@@ -25,7 +25,8 @@ def physics(model: Model) -> dict[str, dict[str, Quantity]]:
     """Physical quantities of every axis, each with the model's own 95 % interval carried over.
 
     `acceleration` is the input gain, `steady_speed` the steady gain: at full command where commands are fractions of a
-    limit, per unit of command where they are SI. `time_constant` is 1 / damping, `total_lag` delay + 1 / damping.
+    limit, per unit of command where they are SI. `time_constant` is 1 / damping, under a second-order
+    law the sum of both; `total_lag` is delay + 1 / damping, plus a lag on the input, less a zero.
     A tilt implies an expected acceleration, a commanded speed or rate an expected steady one; see docs/settings.md.
 
     Args:

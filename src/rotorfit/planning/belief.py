@@ -25,8 +25,8 @@ DAMPING: Mapping[str, tuple[float, float]] = {
 }  # fmt: skip
 """Mean and standard deviation of the damping for each meaning of a command [1/s].
 
-Source: mean and spread of the published sets for tilt, vertical speed and yaw rate; for a velocity loop it is an
-assumption, a time constant of half a second within a factor of 1.6.
+Source: mean and spread, rounded, of the published sets for tilt (without set G), vertical speed and yaw rate; for a
+velocity loop it is an assumption, a time constant of half a second within a factor of 1.6.
 """
 
 DELAY = (0.15, 0.10)

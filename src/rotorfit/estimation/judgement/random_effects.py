@@ -7,12 +7,11 @@ Flight i gives y_i with standard error s_i; the vehicle on that day was mu + d_i
 tau is unknown, and two to six flights hardly identify it. Its restricted likelihood is therefore combined with a prior,
 a half Student's t whose scale comes from recorded vehicles (`spread_prior`), and the distributions of mu and of the
 next flight are averaged over the posterior of tau. One flight carries no information about tau: the posterior is the
-prior. Results without the prior, tau by restricted maximum likelihood and the interval of Hartung and Knapp, are given
-in addition.
+prior. The spread by restricted maximum likelihood, without the prior, is given in addition.
 
-Source: R. DerSimonian, N. Laird, Controlled Clinical Trials 7 (1986), pp. 177-188; J. Hartung, G. Knapp, Statistics in
-Medicine 20 (2001), pp. 3875-3889; A. Gelman, Bayesian Analysis 1 (2006), pp. 515-533 (half t for few groups);
-J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, J. R. Statist. Soc. A 172 (2009), pp. 137-159 (next flight).
+Source: R. DerSimonian, N. Laird, Controlled Clinical Trials 7 (1986), pp. 177-188; A. Gelman, Bayesian Analysis 1
+(2006), pp. 515-533 (half t for few groups); J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, J. R. Statist. Soc.
+A 172 (2009), pp. 137-159 (next flight).
 """
 
 from dataclasses import dataclass
