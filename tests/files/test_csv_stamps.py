@@ -9,7 +9,7 @@ import pytest
 from rotorfit.core.card import Channel
 from rotorfit.core.log import Log, Table
 from rotorfit.files.logs import read
-from rotorfit.flights.stamps import stamps_of
+from rotorfit.flights.stamps import MISSING_STAMP, stamps_of
 
 START = datetime(2024, 5, 1, 12, tzinfo=UTC)
 STEPS = [START + timedelta(milliseconds=50 * k) for k in range(40)]
@@ -86,6 +86,37 @@ def test_stamps_in_two_columns_come_as_one_besides(names: str, tmp_path: Path) -
 
     assert list(table.columns) == ["header.stamp", *names.split(","), "x"]
     assert table.columns["header.stamp"].tolist() == NANOSECONDS
+
+
+@pytest.mark.parametrize("place", [3, 30, 1500])
+@pytest.mark.parametrize("form", ["nanoseconds", "dates"])
+def test_a_cell_of_text_among_stamps_that_no_float_holds_costs_its_row(form: str, place: int, tmp_path: Path) -> None:
+    stamps = [NANOSECONDS[0] + 1 + 50_000_000 * k for k in range(2000)]
+    cells = [str(stamp) for stamp in stamps]
+    if form == "dates":
+        cells = [f"{START + timedelta(milliseconds=50 * k):%Y-%m-%d %H:%M:%S.%f}001" for k in range(2000)]
+    cells[place] = "ERR"
+
+    table = table_of(tmp_path, "time,n", [f"{cell},{k}" for k, cell in enumerate(cells)])
+
+    del stamps[place]
+    assert table.columns["time"].tolist() == stamps
+    assert table.columns["n"].tolist() == [k for k in range(2000) if k != place]
+    log = read(tmp_path / "flight.csv")
+    assert log.notes == ("1 of 2000 cells of time hold text, as 'ERR': their rows are left out",)
+    assert stamps_of(log, Channel("time")).tolist() == stamps
+
+
+@pytest.mark.parametrize("cell", ["ERR", ""])
+def test_a_cell_without_a_number_makes_no_seconds_of_nanoseconds_since_boot(cell: str, tmp_path: Path) -> None:
+    cells = [str(50_000_000 * k) for k in range(40)]
+    cells[7] = cell
+
+    table_of(tmp_path, "header.stamp,n", [f"{cell},{k}" for k, cell in enumerate(cells)])
+
+    stamps = stamps_of(read(tmp_path / "flight.csv"), Channel("header.stamp"))
+    assert np.flatnonzero(stamps == MISSING_STAMP).tolist() == [7]
+    assert np.delete(stamps, 7).tolist() == [50_000_000 * k for k in range(40) if k != 7]
 
 
 @pytest.mark.parametrize("head", ["# by me\n# lab\ntime,x", "% by me\ntime,x", "# lab, 3\n# time,x", "\n\n#time,x"])

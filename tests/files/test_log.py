@@ -192,7 +192,7 @@ def test_a_cut_last_line_of_a_csv_is_left_out_with_a_note(cut: str, tmp_path: Pa
 @pytest.mark.parametrize("place", [3, 150, 399])
 @pytest.mark.parametrize("cell", ["ERR", "#N/A", "1.2.3"])
 def test_a_cell_of_text_among_numbers_costs_itself_only(place: int, cell: str, tmp_path: Path) -> None:
-    cells = [[f"{i}", f"{i / 7:.4f}", "2024-05-01 10:00:00.25"] for i in range(400)]
+    cells = [[f"{i}", f"{i / 7:.4f}", f"10:00:00.{i:03d}"] for i in range(400)]
     cells[place] = [cell] * 3
     file = tmp_path / "a.csv"
     file.write_text("n,x,day\n" + "\n".join(",".join(row) for row in cells) + "\n")

@@ -115,7 +115,8 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
     """Stamps of a stream in nanoseconds.
 
     Stamps in `log.retimed` are returned unchanged. Otherwise, without a unit, they are nanoseconds where two of these
-    hold: they are integers, the column is a `header.stamp` or `log_time`, they exceed 1e15; everything else is seconds.
+    hold: they are integers, or were before blanks made floats of them; the column is a `header.stamp` or `log_time`;
+    they exceed 1e15. Everything else is seconds.
 
     Args:
         log: Log that holds the column.
@@ -131,11 +132,11 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
     moved = log.retimed.get((table_of(log, str(time.source))[0].name, name)) if log.retimed else None
     if moved is not None:
         return moved
-    whole = raw.dtype.kind in "iu"
-    finite = np.isfinite(raw)
+    finite, integers = np.isfinite(raw), raw.dtype.kind in "iu"
+    whole = integers or (not np.all(finite) and bool(np.all(raw[finite] % 1 == 0)))  # blanks made floats of them
     sizes = np.abs(np.where(finite, raw, 0).astype(np.float64))
     of_message = name.endswith("header.stamp") or name == "log_time"
-    large = bool(np.any(finite)) and float((np.max if whole else np.median)(sizes[finite])) > 1e15
+    large = bool(np.any(finite)) and float((np.max if integers else np.median)(sizes[finite])) > 1e15
     unit = time.unit or ("ns" if (whole + of_message + large) > 1 else "s")
     factor = _NS[unit]
     in_range = finite & (sizes * abs(time.scale) + abs(time.offset) < 2.0**62 / factor)

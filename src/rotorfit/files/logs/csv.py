@@ -39,6 +39,8 @@ _SAMPLE = 100
 
 _SPOILT = 0.05  # share of the cells of a column that may hold text among numbers
 
+_EXACT = 1 << 53  # up to here float64 holds every whole number
+
 _EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
 
 _COMMENTS = (b"#", b"%")
@@ -392,10 +394,14 @@ def _with_points(rows: bytes, separator: str) -> bytes:
 
 
 def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[str, Column]:
-    """Columns of numbers by name; the others, and cells of text among numbers, are listed in notes."""
+    """Columns of numbers by name; the others, and cells of text among numbers, are listed in notes.
+
+    Text among nanoseconds since 1970 costs the row: with a blank they would become float64, and be rounded to 256 ns.
+    """
     import polars as pl
 
     columns: dict[str, Column] = {}
+    lost = np.zeros(len(frame), np.bool_)
     text, dates, again, unnamed = list[str](), list[str](), list[str](), 0
     for name, series in zip(names, frame.iter_columns(), strict=True):
         cells = _blanked(series) if series.dtype == pl.String else series
@@ -412,8 +418,12 @@ def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[
             columns[name] = values
             if spoilt := parsed.null_count() - cells.null_count():
                 first = cells.filter(parsed.is_null() & cells.is_not_null())[0]
+                cost = "blank"
+                if parsed.dtype == pl.Int64 and not cells.null_count() and np.nanmax(np.abs(values)) > _EXACT:
+                    columns[name], cost = parsed.fill_null(0).to_numpy(writable=True), "their rows are left out"
+                    lost |= parsed.is_null().to_numpy()
                 notes.append(
-                    f"{spoilt} of {len(cells)} cells of {listed([name])} hold text, as {one_line(first)!r}: blank"
+                    f"{spoilt} of {len(cells)} cells of {listed([name])} hold text, as {one_line(first)!r}: {cost}"
                 )
     if text:
         notes.append(f"columns left out because they hold text: {listed(text)}")
@@ -423,7 +433,7 @@ def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[
         notes.append(f"columns left out because an earlier one has their name: {listed(again)}")
     if unnamed:
         notes.append(f"columns left out because they have no name: {unnamed}")
-    return columns
+    return {name: values[~lost] for name, values in columns.items()} if lost.any() else columns
 
 
 def _numbers(series: "pl.Series") -> Column | None:
@@ -456,8 +466,9 @@ def _parsed(text: "pl.Series", spoilt: float = _SPOILT) -> "pl.Series | None":
     if (whole := text.cast(pl.Int64, strict=False)).null_count() == empty:
         return whole
     few = empty + spoilt * (len(text) - empty)
-    rest = (parse(text) for parse in (lambda cells: cells.cast(pl.Float64, strict=False), _dates))
-    return next((parsed for parsed in rest if parsed.null_count() <= few), None)
+    if (numbers := text.cast(pl.Float64, strict=False)).null_count() <= few:
+        return whole if whole.null_count() == numbers.null_count() else numbers
+    return dates if (dates := _dates(text)).null_count() <= few else None
 
 
 def _dates(text: "pl.Series") -> "pl.Series":
