@@ -215,15 +215,23 @@ def test_points_in_a_column_of_text_are_no_decimal_points(text: str, tmp_path: P
     assert read(file).tables["a"].columns["x"].tolist() == [i + 0.25 for i in range(50)]
 
 
-def test_a_line_that_repeats_the_names_is_left_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("head", "lines"),
+    [("t,cmd x\n", 2), ("t,cmd x\nns,m/s\n", 4), ("# a lab\n#t,cmd x\n", 4)],
+)
+def test_a_header_that_is_repeated_among_the_rows_is_left_out(head: str, lines: int, tmp_path: Path) -> None:
     rows = "".join(f"{i},{i / 8}\n" for i in range(50))
     file = tmp_path / "a.csv"
-    file.write_text(("t,cmd x\n" + rows) * 3)
+    file.write_text((head + rows) * 3)
 
     log = read(file)
 
-    assert len(log.tables["a"].columns["cmd x"]) == 150
-    assert log.notes == ("the names are repeated in 2 lines: left out",)
+    columns = log.tables["a"].columns
+    assert columns["t"].tolist() == [*range(50)] * 3
+    assert columns["t"].dtype == np.int64
+    assert len(columns["cmd x"]) == 150
+    assert log.notes[-1] == f"the header is repeated among the rows, in {lines} lines: left out"
+    assert len(log.notes) == 1 + ("m/s" in head)
 
 
 def test_torn_lines_and_zero_bytes_inside_a_csv_are_left_out_with_a_note(tmp_path: Path) -> None:

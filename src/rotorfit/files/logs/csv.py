@@ -152,7 +152,8 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     if units_end > 0 and _are_units(units, names):
         notes.append(f"the row below the names holds no number, so it is left out as units: {listed(units)}")
         end = units_end
-    columns = with_stamps(columns_below(path, data, (end + 1, len(data)), names, separator, notes))
+    part = (end + 1, len(data))
+    columns = with_stamps(columns_below(path, data, part, names, separator, notes, data[:end]))
     return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
 
 
@@ -200,7 +201,13 @@ def text_of(path: Path) -> bytes:
 
 
 def columns_below(
-    path: Path, data: bytes, part: tuple[int, int], names: list[str], separator: str, notes: list[str]
+    path: Path,
+    data: bytes,
+    part: tuple[int, int],
+    names: list[str],
+    separator: str,
+    notes: list[str],
+    header: bytes = b"",
 ) -> dict[str, Column]:
     """Columns of numbers in the rows of a part of a text.
 
@@ -211,12 +218,13 @@ def columns_below(
         names: Names of the columns, in order; may repeat, may be empty.
         separator: Separator of the cells.
         notes: Extended by what was left out.
+        header: The lines above the rows, which a logger that appends repeats among them.
 
     Raises:
         LogError: Too many columns or cells, no rows, rows that do not match the names, or no column of numbers.
     """
     check_width(path, len(names))
-    sheet = _sheet(path, data, part, names, separator, notes)
+    sheet = _sheet(path, data, part, names, separator, notes, header)
     columns = _columns(_frame(path, sheet), sheet.names, notes)
     if not columns:
         raise LogError(f"{path}: no column of numbers; check the separator and the decimal sign")
@@ -224,9 +232,15 @@ def columns_below(
 
 
 def _sheet(
-    path: Path, data: bytes, part: tuple[int, int], names: list[str], separator: str, notes: list[str]
+    path: Path,
+    data: bytes,
+    part: tuple[int, int],
+    names: list[str],
+    separator: str,
+    notes: list[str],
+    header: bytes,
 ) -> _Sheet:
-    """Splits the rows and leaves out torn lines."""
+    """Splits the rows and leaves out torn lines and repeated headers."""
     body = data[part[0] : part[1]]
     if not body.strip():
         raise LogError(f"{path}: a header row and no rows below it; check that the recording ran")
@@ -235,9 +249,11 @@ def _sheet(
     first = body[lines.starts[lines.filled][0] :][: lines.lengths[lines.filled][0]].strip(b"\r\n")
     if lines.cells[lines.filled][0] == len(names) + 1 and first.endswith(separator.encode()):
         names = [*names, ""]  # loggers that end every row, but not the header, with a separator
-    again = lines.equal_to(body, data[data.rfind(b"\n", 0, max(part[0] - 1, 0)) + 1 : part[0]].strip())
+    again = np.zeros(len(lines.starts), np.bool_)
+    for repeated in header.splitlines():
+        again |= lines.equal_to(body, repeated.strip())
     if again.any():
-        notes.append(f"the names are repeated in {counted(int(again.sum()), 'line')}: left out")
+        notes.append(f"the header is repeated among the rows, in {counted(int(again.sum()), 'line')}: left out")
         lines.filled &= ~again
     whole = lines.filled & (lines.cells == len(names)) & ~lines.zeros
     if not whole.any():

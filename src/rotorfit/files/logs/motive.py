@@ -51,8 +51,9 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     columns += [_column(*parts) for parts in list(zip(types, names, kinds, rows[-1], strict=True))[2:]]
     notes = [_about(rows[0])]
     unit = _LENGTHS.get(_said(rows[0]).get("Length Units", "").lower())
+    part = (start, len(data))
     return Content(
-        {path.stem: Table(path.stem, columns_below(path, data, (start, len(data)), columns, separator, notes))},
+        {path.stem: Table(path.stem, columns_below(path, data, part, columns, separator, notes, data[:start]))},
         {},
         tuple(notes),
         units={(path.stem, name): unit for name in columns if unit and re.search(r"position\.[xyz]$", name)},
