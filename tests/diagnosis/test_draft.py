@@ -583,6 +583,25 @@ def test_a_length_is_in_the_unit_that_the_export_states_however_fast_the_motion(
     assert ('x = { from = "drone.position.x", ' + line in text) if line else ('x = "drone.position.x"' in text)
 
 
+def test_a_draft_takes_the_units_that_the_file_states(tmp_path: Path) -> None:
+    true = turning()
+    columns = {"t": 1000 * T, **{axis: 1000 * true[axis] for axis in "xyz"}, "yaw": np.degrees(true["yaw"])}
+    columns |= {f"v{axis}": 100 * np.gradient(true[axis], T) for axis in "xyz"}
+    columns |= {f"cmd_{axis}": series for axis, series in COMMAND.items()}
+    units = dict.fromkeys("xyz", "mm") | dict.fromkeys(("vx", "vy", "vz"), "cm/s") | {"t": "ms", "yaw": "deg"}
+    wrong = units | {"cmd_x": "s", "yaw": "deg/s"}
+
+    for said, yaw in ((units, "as the file states it"), (wrong, "guessed")):
+        log = replace(log_of(flight=columns), units={("flight", name): unit for name, unit in said.items()})
+        text = draft_card(log)
+
+        assert text.count('time = { from = "t", unit = "ms" }  # unit as the file states it') == 3
+        assert 'x = { from = "x", unit = "mm" }  # unit as the file states it' in text
+        assert 'y = { from = "vy", unit = "cm/s" }  # unit as the file states it' in text
+        assert f'yaw = {{ from = "yaw", unit = "deg" }}  # unit {yaw}' in text
+        assert flight_from_log(log, loaded(text, tmp_path)).duration == pytest.approx(T[-1], abs=0.1)
+
+
 # The vehicle's own velocity
 
 

@@ -1,5 +1,6 @@
 """CSV files as other tools write them: dates, stamps in two columns, comments above the names."""
 
+import tomllib
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
@@ -8,7 +9,9 @@ import pytest
 
 from rotorfit.core.card import Channel
 from rotorfit.core.log import Log, Table
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read
+from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.stamps import MISSING_STAMP, stamps_of
 
 START = datetime(2024, 5, 1, 12, tzinfo=UTC)
@@ -130,14 +133,70 @@ def test_comments_above_the_names_are_passed_over_and_names_in_a_comment_are_nam
 ROWS = [f"{k / 8};{k};{-k}" for k in range(40)]
 
 
-@pytest.mark.parametrize("units", ["s;m;", "[s];[m];[-]"])
-def test_a_row_of_units_below_the_names_is_left_out(units: str, tmp_path: Path) -> None:
-    table = table_of(tmp_path, f"time;x;y\n{units}", ROWS)
+@pytest.mark.parametrize(
+    ("row", "units", "rest"),
+    [
+        ("s;m;", {"time": "s", "x": "m"}, ""),
+        ("[ms];[mm];[-]", {"time": "ms", "x": "mm"}, ""),
+        ("usec;degrees;deg/sec", {"time": "us", "x": "deg", "y": "deg/s"}, ""),
+        ("(\N{MICRO SIGN}s);\N{DEGREE SIGN};\N{DEGREE SIGN}/s", {"time": "us", "x": "deg", "y": "deg/s"}, ""),
+        ("a;ft;m", {"y": "m"}, "; not used: a, ft"),
+    ],
+)
+def test_a_row_below_the_names_states_units(row: str, units: dict, rest: str, tmp_path: Path) -> None:
+    table = table_of(tmp_path, f"time;x;y\n{row}", ROWS)
+    log = read(tmp_path / "flight.csv")
 
     assert table.columns["y"].tolist() == [-k for k in range(40)]
-    assert read(tmp_path / "flight.csv").notes == (
-        f"the row below the names holds no number, so it is left out as units: {units.replace(';', ', ')}",
+    assert log.units == {("flight", name): unit for name, unit in units.items()}
+    assert log.notes == (
+        f"units by the row below the names: {', '.join(f'{name} {unit}' for name, unit in units.items())}{rest}",
     )
+
+
+def test_dates_are_nanoseconds_whatever_unit_is_stated(tmp_path: Path) -> None:
+    table_of(tmp_path, "time,x\ns,m", [f"{step:%H:%M:%S.%f},1.5" for step in STEPS])
+
+    assert read(tmp_path / "flight.csv").units == {("flight", "x"): "m"}
+
+
+UNITED = """[command]
+time = "t"
+x = "u"
+[pose]
+time = "t"
+x = "x"
+y = "y"
+z = "z"
+yaw = "yaw"
+"""
+
+
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("given", ["", 'unit = "us"'])
+def test_stated_units_stand_over_those_of_the_card(given: str, apart: bool, tmp_path: Path) -> None:
+    k = np.arange(400)
+    moved = {"x": 2000 + 500 * np.sin(k / 20), "y": 10 * np.cos(k / 20), "z": 1 + 0 * k, "yaw": 10 * np.sin(k / 30)}
+    units = {"x": "mm", "y": "cm", "z": "m", "yaw": "deg"}
+    pose = {"t": ("ms", 50 * k), **{name: (unit, moved[name]) for name, unit in units.items()}}
+    command = {"t": ("ms", 50 * k), "u": ("", np.sin(k / 20))}
+    for name, columns in {"c": command, "p": pose}.items() if apart else {"c": command | pose}.items():
+        rows = zip(*(values.tolist() for _, values in columns.values()), strict=True)
+        head = [",".join(columns), ",".join(unit for unit, _ in columns.values())]
+        (tmp_path / f"{name}.csv").write_text("\n".join([*head, *(",".join(map(str, row)) for row in rows), ""]))
+    log = read("+".join(str(tmp_path / f"{name}.csv") for name in ("cp" if apart else "c")))
+    text = UNITED.replace('time = "t"', f'time = {{ from = "t", {given} }}') if given else UNITED
+    card = card_from_mapping(tomllib.loads("clock = 'one'\n" + text), "test")
+
+    flight = flight_from_log(log, card)
+
+    assert flight.duration == pytest.approx(19.95)
+    assert np.ptp(flight.position[:, 0]) == pytest.approx(1, abs=0.01)
+    assert np.ptp(flight.position[:, 1]) == pytest.approx(0.2, abs=0.01)
+    assert np.ptp(flight.yaw) == pytest.approx(np.radians(20), abs=0.01)
+    (note,) = (note.text for note in flight.notes if note.code == "units")
+    assert ("t is in ms, not in us" in note) == bool(given)
+    assert "x is in mm, not in SI" in note
 
 
 @pytest.mark.parametrize(("above", "end"), [("sep=;\r\n", "\r\n"), ("", "\r"), ("# a log\r", "\r")])

@@ -151,15 +151,22 @@ class Card:
         return tuple(axis for axis in ("x", "y", "z") if axis not in self.pose)
 
 
-LENGTH_UNITS, SPEED_UNITS, ANGLE_UNITS, RATE_UNITS = (
+LENGTH_UNITS, SPEED_UNITS, ANGLE_UNITS, RATE_UNITS, STAMP_UNITS = (
     ("m", "cm", "mm"),
     ("m/s", "cm/s"),
     ("rad", "deg"),
     ("rad/s", "deg/s"),
+    ("s", "ms", "us", "ns"),
 )
 
 KINDS = (LENGTH_UNITS, SPEED_UNITS, ANGLE_UNITS, RATE_UNITS)
-"""Groups of units that convert into each other."""
+"""Groups of units of values that convert into each other."""
+
+UNITS_OF_POSE = {"x": LENGTH_UNITS, "y": LENGTH_UNITS, "z": LENGTH_UNITS, "yaw": ANGLE_UNITS}
+"""Quantity of a pose to the units in which it may be given, SI first."""
+
+UNITS_OF_VELOCITY = {"x": SPEED_UNITS, "y": SPEED_UNITS, "z": SPEED_UNITS, "yaw": RATE_UNITS}
+"""The same for a velocity."""
 
 LIMIT_UNITS = {"tilt": ANGLE_UNITS, "vertical_speed": SPEED_UNITS, "yaw_rate": RATE_UNITS, "speed": SPEED_UNITS}
 """Limit to the units in which it may be given, SI first."""

@@ -36,6 +36,7 @@ from rotorfit.diagnosis.recognition import (
     is_down,
     is_of_tello,
     is_of_the_body,
+    is_stated,
     is_turned_up,
     poses_in,
     reference_in,
@@ -49,7 +50,7 @@ from rotorfit.files.cards import builtin_card_text, card_from_mapping
 from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import format_of
 from rotorfit.flights.assemble import flight_from_log
-from rotorfit.flights.columns import shape_text, source_of, stated_unit
+from rotorfit.flights.columns import shape_text, source_of
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ def found_in(log: Log, pose: Recognised, guess: bool = True) -> DraftContents:
     if guess and not commands.channels and (named := velocities_as_commands(log, pose)).channels:
         commands, doubted = named, True
     velocity = velocity_in(log, commands, pose)
-    if is_of_tello(log, velocity):
+    if is_of_tello(log, velocity) and not any(is_stated(log, channel) for channel in velocity.channels.values()):
         dm = {axis: replace(channel, scale=10.0, unit="cm/s") for axis, channel in velocity.channels.items()}
         velocity = replace(velocity, channels=dm)
     of_velocity = "heading" if is_of_the_body(velocity) else "world"
@@ -123,27 +124,31 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         ),
         f'frame = "{found.frame}"  # "world" where x and y do not turn with the vehicle',
         "# hold = 0.3  # s that a command acts without a successor; default: three median periods",
-        _line("time", commands.time),
-        *(_line(axis, commands.channels.get(axis), said.get(axis, "")) for axis in AXES),
+        _line(log, "time", commands.time),
+        *(_line(log, axis, commands.channels.get(axis), said.get(axis, "")) for axis in AXES),
         '# x = { from = "...", scale = -1, meaning = "tilt", full_scale = "tilt" }  # all that a command can say;',
         "# meaning: tilt, velocity, vertical_speed or yaw_rate; full_scale: the limit that a command of 1 asks for",
         "",
         "[pose]",
         *(["# Motive has y up: the axes are permuted cyclically"] * is_turned_up(log, pose)),
         *([f"# EDIT if one of these is right: {', '.join(map(visible, pose.others))}"] * bool(pose.others)),
-        _line("time", pose.time),
+        _line(log, "time", pose.time),
         *(
-            _line(axis, pose.channels.get(axis), found.remarks.get(axis, ""), _stated(log, pose.channels.get(axis)))
+            _line(log, axis, pose.channels.get(axis), found.remarks.get(axis, ""))
             for axis in "xyz"
             if axis not in found.alone
         ),
         *([f"# {', '.join(found.alone)}: only the velocity, below"] if found.alone else []),
         _quaternion_line(pose, found.remarks.get("qw", ""))
         if _is_whole(pose)
-        else _line("yaw", pose.channels.get("yaw"), found.remarks.get("yaw", "")),
+        else _line(log, "yaw", pose.channels.get("yaw"), found.remarks.get("yaw", "")),
         "",
-        *_velocity_lines(found),
-        *(["[reference]", *(_line(axis, channel) for axis, channel in reference.items()), ""] if reference else []),
+        *_velocity_lines(log, found),
+        *(
+            ["[reference]", *(_line(log, axis, channel) for axis, channel in reference.items()), ""]
+            if reference
+            else []
+        ),
         *(line for source, says in windows_in(log) for line in _window_lines(source, says)),
         "# [limits]  # of the vehicle's settings during the flight",
         '# tilt = { value = 10, unit = "deg" }',
@@ -156,7 +161,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
     return "\n".join([*_heading(log, found), *([f"# {checked}"] if checked else []), *body]) + "\n"
 
 
-def _velocity_lines(found: DraftContents) -> list[str]:
+def _velocity_lines(log: Log, found: DraftContents) -> list[str]:
     """Lines of the onboard velocity: in place of a position, or beside it and unused unless the card says otherwise."""
     velocity = found.velocity
     if not velocity.channels:
@@ -166,8 +171,8 @@ def _velocity_lines(found: DraftContents) -> list[str]:
         f"[velocity]  # {use}",
         *([] if found.alone else ["# independent = true  # only where neither was made from the other"]),
         f'frame = "{found.velocity_frame}"  # "world", or "heading" where x and y are forward and left: check',
-        _line("time", velocity.time),
-        *(_line(axis, velocity.channels[axis]) for axis in "xyz" if axis in velocity.channels),
+        _line(log, "time", velocity.time),
+        *(_line(log, axis, velocity.channels[axis]) for axis in "xyz" if axis in velocity.channels),
         "",
     ]
 
@@ -223,18 +228,15 @@ def _quoted(text: object) -> str:
     return toml_text(str(text))
 
 
-def _stated(log: Log, channel: Channel | None) -> bool:
-    return channel is not None and stated_unit(log, channel) is not None
-
-
-def _line(key: str, channel: Channel | None, said: str = "", stated: bool = False) -> str:
+def _line(log: Log, key: str, channel: Channel | None, said: str = "") -> str:
     if channel is None:
         return f'# {key} = "TABLE:COLUMN"  # EDIT: nothing was recognised'
     parts = [f"from = {_quoted(channel.source)}"]
     parts += [f"scale = {channel.scale:g}"] * (channel.scale != 1)
     parts += [f"offset = {channel.offset:g}"] * (channel.offset != 0)
     parts += [f'unit = "{channel.unit}"'] * bool(channel.unit)
-    remarks = [f"unit {'as the file states it' if stated else 'guessed'}"] * bool(channel.unit) + [said] * bool(said)
+    origin = f"unit {'as the file states it' if is_stated(log, channel) else 'guessed'}"
+    remarks = [origin] * bool(channel.unit) + [said] * bool(said)
     value = f"{{ {', '.join(parts)} }}" if len(parts) > 1 else _quoted(channel.source)
     return f"{key} = {value}" + (f"  # {'; '.join(remarks)}" if remarks else "")
 
@@ -377,7 +379,7 @@ def _asked(log: Log, found: DraftContents) -> _Asked:
 def _in_degrees(log: Log, asked: _Asked) -> _Asked:
     """The draft with a heading in degrees if no vehicle can have turned so fast in radians."""
     yaw, rate = asked.found.pose.channels.get("yaw"), degrees_turned(asked.motion) if asked.motion else None
-    if yaw is None or yaw.unit or rate is None:
+    if yaw is None or yaw.unit or is_stated(log, yaw) or rate is None:
         return asked
     why = f"yaw is in degrees by the motion: in radians it turns with {rate:.2g} rad/s (RMS), too much for any vehicle"
     return _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
@@ -389,7 +391,7 @@ def _held_in_degrees(log: Log, asked: _Asked) -> _Asked:
     In radians the commands are the world's, then, or do not move the vehicle as their names say.
     """
     yaw, told, motion = asked.found.pose.channels.get("yaw"), asked.answers, asked.motion
-    if yaw is None or yaw.unit or stated_unit(log, yaw) or told is None or motion is None:
+    if yaw is None or yaw.unit or is_stated(log, yaw) or told is None or motion is None:
         return asked
     if turned_by_yaw(told) or not is_held_in_degrees(motion) or (told.frame != "world" and not _unlike(told)):
         return asked
@@ -404,7 +406,7 @@ def _held_in_degrees(log: Log, asked: _Asked) -> _Asked:
 def _doubting_radians(log: Log, asked: _Asked) -> _Asked:
     """The draft with a remark where commands are the world's, unless the heading is in degrees and hardly turns."""
     yaw, told, motion = asked.found.pose.channels.get("yaw"), asked.answers, asked.motion
-    if yaw is None or yaw.unit or stated_unit(log, yaw) or told is None or motion is None:
+    if yaw is None or yaw.unit or is_stated(log, yaw) or told is None or motion is None:
         return asked
     if told.frame != "world" or "yaw" in asked.found.remarks:
         return asked
@@ -550,7 +552,7 @@ def _in_metres(log: Log, found: DraftContents, motion: Motion | None) -> DraftCo
     """The same draft with a unit for the position if no vehicle can have flown it in metres, and none is stated."""
     known = {axis: channel for axis, channel in found.pose.channels.items() if axis in "xyz"}
     unit = position_unit(motion) if motion and not found.alone else None
-    if unit is None or any(channel.unit or stated_unit(log, channel) for channel in known.values()):
+    if unit is None or any(channel.unit or is_stated(log, channel) for channel in known.values()):
         return found
     name, speed = unit
     read = _read(found, "", **{axis: replace(channel, unit=name) for axis, channel in known.items()})

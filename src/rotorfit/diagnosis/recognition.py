@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.core.card import LENGTH_UNITS, Channel
-from rotorfit.core.frames import AXES
+from rotorfit.core.card import UNITS_OF_POSE, UNITS_OF_VELOCITY, Channel
+from rotorfit.core.frames import AXES, UNIT_SCALE
 from rotorfit.core.log import Log, Table
 from rotorfit.diagnosis.pose_names import (
     NamedPose,
@@ -27,6 +27,7 @@ from rotorfit.flights.columns import (
     sample_count,
     series_of,
     source_of,
+    stated_unit,
     unit_of_name,
 )
 from rotorfit.flights.stamps import degrees_for_radians, increasing, stamps_of
@@ -145,7 +146,7 @@ def poses_in(log: Log) -> list[Recognised]:
         of_motive = [is_of_motive(log, body) for body in bodies]
         upright = [z_up(body) if turned else body for body, turned in zip(bodies, of_motive, strict=True)]
         return upright + [body for body, turned in zip(bodies, of_motive, strict=True) if turned]
-    heading = _with_unit_of_yaw(log, _recognised(log, _attitude))
+    heading = _with_unit_of_yaw(log, _in_units(_recognised(log, _attitude), UNITS_OF_POSE))
     poses = [_with_unit_of_yaw(log, pose) for pose in _fullest(log, _poses)] or [heading]
     return [_with_heading(pose, heading) for pose in poses]
 
@@ -171,7 +172,16 @@ def _fullest(log: Log, poses_of: Callable[[Log, Table], list[NamedPose]]) -> lis
 
 def _named_stream(log: Log, table: Table, pose: NamedPose) -> Recognised:
     others = tuple(source_of(log, table, name) for name in pose.unused)
-    return replace(_stream(log, table, pose.names), strays=pose.strays, others=others)
+    return replace(_in_units(_stream(log, table, pose.names), UNITS_OF_POSE), strays=pose.strays, others=others)
+
+
+def _in_units(found: Recognised, units: Mapping[str, tuple[str, ...]]) -> Recognised:
+    """The quantities without the units that are of another kind, such as m/s of a position."""
+    channels = {
+        what: one if one.unit in units.get(what, ()) else replace(one, unit=None)
+        for what, one in found.channels.items()
+    }
+    return replace(found, channels=channels)
 
 
 def is_of_motive(log: Log, pose: Recognised) -> bool:
@@ -196,9 +206,10 @@ def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
 
     beside = log.tables.get(pose.table or "")
     if beside is not None and {"x", "y"} <= names_in(log, beside).keys():
-        return _recognised(log, lambda log, table: names_in(log, table) if table is beside else {})
-    found = _recognised(log, names_in)
-    return found if found.channels else Recognised({}, None)
+        found = _recognised(log, lambda log, table: names_in(log, table) if table is beside else {})
+    else:
+        found = _recognised(log, names_in)
+    return _in_units(found, UNITS_OF_VELOCITY) if found.channels else Recognised({}, None)
 
 
 def is_of_the_body(velocity: Recognised) -> bool:
@@ -299,7 +310,7 @@ def _stream(log: Log, table: Table, names: Mapping[str, str]) -> Recognised:
 def _with_unit_of_yaw(log: Log, pose: Recognised) -> Recognised:
     """The pose with a yaw in degrees where its values are none in radians."""
     yaw = pose.channels.get("yaw")
-    if pose.time is None or yaw is None or yaw.unit is not None:
+    if pose.time is None or yaw is None or yaw.unit is not None or is_stated(log, yaw):
         return pose
     stamps, values = stamps_of(log, pose.time), column(log, yaw)
     clean = increasing(stamps)[: len(values)] & np.isfinite(values[: len(stamps)])
@@ -308,13 +319,19 @@ def _with_unit_of_yaw(log: Log, pose: Recognised) -> Recognised:
     return replace(pose, channels={**pose.channels, "yaw": replace(yaw, unit="deg")})
 
 
+def is_stated(log: Log, channel: Channel) -> bool:
+    """Whether the log itself states the unit in which a channel is read."""
+    said = stated_unit(log, channel)
+    return said is not None and (said == channel.unit if channel.unit else UNIT_SCALE[said] == 1)
+
+
 def _unit(log: Log, table: Table, name: str) -> str | None:
     """The unit that the log or a name states, or that of the message: NTUN of ArduPilot is in cm.
 
     Source: its Log.cpp up to 3.6.
     """
-    if (stated := log.units.get((table.name, name))) in LENGTH_UNITS:
-        return None if stated == "m" else stated
+    if stated := log.units.get((table.name, name)):
+        return None if UNIT_SCALE[stated] == 1 else stated
     if format_of(log, table.name).startswith("dataflash") and table.name == "NTUN":
         return "cm" if name.startswith("Pos") else "cm/s" if "Vel" in name else None
     return unit_of_name(name)

@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 
 from rotorfit.core.card import (
     ANGLE_UNITS,
-    LENGTH_UNITS,
     LIMIT_UNITS,
-    RATE_UNITS,
-    SPEED_UNITS,
+    STAMP_UNITS,
+    UNITS_OF_POSE,
+    UNITS_OF_VELOCITY,
     Card,
     Channel,
     Condition,
@@ -30,7 +30,7 @@ Choice = TypeVar("Choice", bound=str | bool)
 
 _MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
 
-_STAMP, _ANY = ("s", "ms", "us", "ns"), tuple(UNIT_SCALE)
+_ANY = tuple(UNIT_SCALE)
 
 _LIMITS = tuple(LIMIT_UNITS)
 
@@ -44,10 +44,6 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "limits": _LIMITS,
     "prior": AXES,
 }
-
-_POSE_UNITS = {"x": LENGTH_UNITS, "y": LENGTH_UNITS, "z": LENGTH_UNITS, "yaw": ANGLE_UNITS}
-
-_VELOCITY_UNITS = {"x": SPEED_UNITS, "y": SPEED_UNITS, "z": SPEED_UNITS, "yaw": RATE_UNITS}
 
 
 def load_card(name_or_path: str | Path) -> Card:
@@ -141,11 +137,11 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         frame=_choice(raw.get("frame", "ENU"), ("ENU", "NED"), f"{place}, frame"),
         command_frame=_choice(command.get("frame", "heading"), ("heading", "world"), f"{in_command} frame"),
         hold=_positive(command["hold"], f"{in_command} hold") if "hold" in command else None,
-        command_time=_recorded(command, "time", _STAMP, in_command),
+        command_time=_recorded(command, "time", STAMP_UNITS, in_command),
         command=commands,
-        pose_time=_recorded(pose, "time", _STAMP, in_pose),
+        pose_time=_recorded(pose, "time", STAMP_UNITS, in_pose),
         pose=_pose(pose, velocity, in_pose),
-        velocity=_channels(velocity, _VELOCITY_UNITS, f"{place}, [velocity]"),
+        velocity=_channels(velocity, UNITS_OF_VELOCITY, f"{place}, [velocity]"),
         velocity_frame=_choice(velocity.get("frame", "world"), ("heading", "world"), f"{place}, [velocity] frame"),
         velocity_independent=_yes_or_no(velocity.get("independent", False), f"{place}, [velocity] independent"),
         reference=_channels(sections["reference"], dict.fromkeys(AXES, _ANY), f"{place}, [reference]"),
@@ -154,9 +150,9 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         limits={key: _limit(key, value, f"{place}, [limits] {key}") for key, value in sections["limits"].items()},
         prior={axis: _priors(value, f"{place}, [prior] {axis}") for axis, value in sections["prior"].items()},
         raw=raw,
-        velocity_time=_recorded(velocity, "time", _STAMP, f"{place}, [velocity]") if "time" in velocity else None,
+        velocity_time=_recorded(velocity, "time", STAMP_UNITS, f"{place}, [velocity]") if "time" in velocity else None,
         attitude=_heading(attitude, f"{place}, [attitude]") if attitude else {},
-        attitude_time=_recorded(attitude, "time", _STAMP, f"{place}, [attitude]") if "time" in attitude else None,
+        attitude_time=_recorded(attitude, "time", STAMP_UNITS, f"{place}, [attitude]") if "time" in attitude else None,
         clock=_choice(raw.get("clock", "own"), ("own", "one"), f"{place}, clock"),
         fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
         over=_names(raw.get("over", []), f"{place}, over"),
@@ -328,7 +324,7 @@ def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -
         )
     if ("x" in section) != ("y" in section):
         raise CardError(f"{place}: {missing[0]} is missing; x and y go together: name both, or neither")
-    return _channels(section, _POSE_UNITS, place) | heading
+    return _channels(section, UNITS_OF_POSE, place) | heading
 
 
 def _heading_offset(section: Mapping[str, Any], place: str) -> float:

@@ -11,7 +11,7 @@ from itertools import takewhile
 
 import numpy as np
 
-from rotorfit.core.card import KINDS, Card, Channel
+from rotorfit.core.card import KINDS, STAMP_UNITS, Card, Channel
 from rotorfit.core.errors import CardError, nearest
 from rotorfit.core.frames import POSE_UNITS, Array
 from rotorfit.core.limits import COMMAND_UNITS
@@ -63,22 +63,27 @@ def card_for(log: Log, card: Card) -> Card:
         known = (one for one in map(bare, (channel, *channel.others)) if _holds(log, one.source))
         return replace(next(known, channel), others=())
 
+    def clock(channel: Channel) -> Channel:
+        channel = named(channel)
+        said = stated_unit(log, channel)
+        return replace(channel, unit=said) if said in STAMP_UNITS and _is_plain(channel) else channel
+
     def all_named(channels: Mapping[str, Channel], units: Mapping[str, str] = _NO_UNITS) -> dict[str, Channel]:
         return {key: _as_logged(log, named(channel), units.get(key)) for key, channel in channels.items()}
 
     window = [replace(part, channel=named(part.channel)) for part in card.window]
     return replace(
         card,
-        command_time=named(card.command_time),
+        command_time=clock(card.command_time),
         command=all_named(
             card.command, {axis: COMMAND_UNITS.get(one.meaning or "", "") for axis, one in card.command.items()}
         ),
-        pose_time=named(card.pose_time),
+        pose_time=clock(card.pose_time),
         pose=all_named(card.pose, POSE_UNITS),
         velocity=all_named(card.velocity, _SPEED),
-        velocity_time=named(card.velocity_time) if card.velocity_time else None,
+        velocity_time=clock(card.velocity_time) if card.velocity_time else None,
         attitude=all_named(card.attitude, POSE_UNITS),
-        attitude_time=named(card.attitude_time) if card.attitude_time else None,
+        attitude_time=clock(card.attitude_time) if card.attitude_time else None,
         reference=all_named(card.reference),
         window=tuple(part for part in window if not part.optional or _holds(log, part.channel.source)),
         resets=tuple(named(channel) for channel in card.resets),
@@ -100,10 +105,14 @@ def _as_logged(log: Log, channel: Channel, si: str | None) -> Channel:
     """
     said = stated_unit(log, channel)
     own = channel.unit or si
-    plain = abs(channel.scale) == 1 and channel.offset == 0 and channel.full_scale is None
-    if said is None or said == own or not plain or not any(said in kind and own in kind for kind in KINDS):
+    if said is None or said == own or not _is_plain(channel) or not any(said in kind and own in kind for kind in KINDS):
         return channel
     return replace(channel, unit=said)
+
+
+def _is_plain(channel: Channel) -> bool:
+    """Whether a card takes a column in its own unit: not scaled, and no fraction of a limit."""
+    return abs(channel.scale) == 1 and channel.offset == 0 and channel.full_scale is None
 
 
 def stated_unit(log: Log, channel: Channel) -> str | None:
@@ -119,12 +128,22 @@ def unit_note(before: Card, after: Card) -> str:
         before: The card as written.
         after: The card from `card_for`.
     """
-    changed = [
-        f"{channel.source} is in {channel.unit}, not in {known[axis].unit or 'SI'}"
+    clocks = [
+        (known, channel)
+        for part in ("command_time", "pose_time", "velocity_time", "attitude_time")
+        for known, channel in [(getattr(before, part), getattr(after, part))]
+        if known is not None and known.unit
+    ]
+    values = [
+        (known[axis], channel)
         for part in ("command", "pose", "velocity", "attitude", "reference")
         for known, found in [(getattr(before, part), getattr(after, part))]
         for axis, channel in found.items()
-        if channel.unit not in {one.unit for one in (known[axis], *known[axis].others)}
+    ]
+    changed = [
+        f"{channel.source} is in {channel.unit}, not in {known.unit or 'SI'}"
+        for known, channel in [*clocks, *values]
+        if channel.unit not in {one.unit for one in (known, *known.others)}
     ]
     return f"by the log's own units, over the card's: {'; '.join(changed)}" if changed else ""
 
@@ -330,7 +349,9 @@ def clock_of(log: Log, table: Table, count: int, of: str = "") -> Channel | None
     if not names:
         return None
     of_ulog = format_of(log, table.name) == "ulog" and names[0] == "timestamp"
-    time = Channel(source_of(log, table, names[0]), unit="us" if of_ulog else unit_of_name(names[0]))
+    stated = log.units.get((table.name, names[0]))
+    unit = stated if stated in STAMP_UNITS else "us" if of_ulog else unit_of_name(names[0])
+    time = Channel(source_of(log, table, names[0]), unit=unit)
     if time.unit is not None or plain_name(names[0]) in _CLOCKS[:2]:
         return time
     return replace(time, unit=_likely_unit(table.columns[names[0]].astype(np.float64).ravel()))

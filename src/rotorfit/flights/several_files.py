@@ -32,7 +32,7 @@ def bound(card: Card, log: Log) -> Card:
     pose = _section(log, {"time": card.pose_time, **card.pose})
     velocity = _section(log, velocity | ({"time": card.velocity_time} if card.velocity_time else {}))
     attitude = _section(log, attitude | ({"time": card.attitude_time} if card.attitude_time else {}))
-    return replace(
+    placed = replace(
         card,
         command_time=command.pop("time"),
         command=command,
@@ -46,6 +46,7 @@ def bound(card: Card, log: Log) -> Card:
         window=tuple(replace(part, channel=_section(log, {"when": part.channel})["when"]) for part in card.window),
         resets=tuple(_section(log, {str(i): one for i, one in enumerate(card.resets)}).values()),
     )
+    return card_for(log, placed)  # once more: the log states units of columns of its tables
 
 
 def _section(log: Log, channels: Mapping[str, Channel]) -> dict[str, Channel]:

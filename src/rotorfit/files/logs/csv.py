@@ -3,7 +3,7 @@
 Decimal commas (`0,5`) with semicolons as separators are understood. Lines with a wrong number of cells (a cut last
 line, a line torn by a full disk) are left out with a note. Dates, of ISO 8601 or dotted with the day first, become
 nanoseconds since 1970, times of day since midnight; stamps in two columns of seconds and nanoseconds get an additional
-combined column.
+combined column. A row of units below the names states the units of the columns.
 """
 
 import csv
@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from rotorfit.core.display import counted
 from rotorfit.core.errors import LogError
+from rotorfit.core.frames import UNIT_SCALE
 from rotorfit.core.log import Column, Table
 from rotorfit.files.logs.content import Content, check_width, listed, one_line
 
@@ -42,6 +43,17 @@ _SPOILT = 0.05  # share of the cells of a column that may hold text among number
 _EXACT = 1 << 53  # up to here float64 holds every whole number
 
 _EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
+
+_UNITS = {
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("msec", "msecs", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("usec", "usecs", "\N{MICRO SIGN}s", "\N{GREEK SMALL LETTER MU}s", "microseconds"), "us"),
+    **dict.fromkeys(("nsec", "nsecs", "nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("degree", "degrees", "\N{DEGREE SIGN}"), "deg"),
+    **dict.fromkeys(("radian", "radians"), "rad"),
+}
+"""Other spellings of the units of a card."""
 
 _COMMENTS = (b"#", b"%")
 
@@ -147,14 +159,35 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
         raise LogError(f"{path}: the header row cannot be understood; check its separators and quotation marks")
     if all(NUMBER.fullmatch(name) for name in names):
         raise LogError(f"{path}: the first line holds numbers where the columns' names belong; add a header row")
-    units_end = data.find(b"\n", end + 1)
-    units = cells(data[end + 1 : units_end].decode(), separator)
-    if units_end > 0 and _are_units(units, names):
-        notes.append(f"the row below the names holds no number, so it is left out as units: {listed(units)}")
-        end = units_end
+    units: dict[str, str] = {}
+    below, below_end = _cells_at(data, end + 1, separator)
+    if below_end > 0 and _are_units(below, names):
+        end = below_end
+        first, _ = _cells_at(data, end + 1, separator)
+        told = [(name, cell) for name, cell in zip(names, below, strict=True) if cell.strip("[]()- ")]
+        dates = {name for name, value in zip(names, first, strict=False) if re.match(_DATE, value)}  # become ns
+        units = {name: unit for name, cell in told if name not in dates and (unit := _unit(cell))}
+        rest = [cell for name, cell in told if name not in units]
+        stated = listed([f"{name} {unit}" for name, unit in units.items()]) or "none"
+        unused = f"; not used: {listed(rest)}" if rest else ""
+        notes.append(f"units by the row below the names: {stated}{unused}")
     part = (end + 1, len(data))
     columns = with_stamps(columns_below(path, data, part, names, separator, notes, data[:end]))
-    return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
+    known = {(path.stem, name): unit for name, unit in units.items() if name in columns}
+    return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes), units=known)
+
+
+def _cells_at(data: bytes, start: int, separator: str) -> tuple[list[str], int]:
+    """Cells of the line that begins there, and the place of its line end; negative where it has none."""
+    end = data.find(b"\n", start)
+    return cells(data[start:end].decode(), separator), end
+
+
+def _unit(cell: str) -> str | None:
+    """The unit that a cell names, as a card names it; None where a card has none of that name."""
+    parts = cell.strip("[]() ").lower().split("/")
+    unit = "/".join(_UNITS.get(part, part) for part in parts)
+    return unit if unit in UNIT_SCALE else None
 
 
 def with_stamps(columns: dict[str, Column]) -> dict[str, Column]:

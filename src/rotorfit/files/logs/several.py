@@ -79,6 +79,7 @@ def _joined(logs: Sequence[Log], tables: Mapping[str, Table], skipped: Mapping[s
         damage=tuple(f"{log.path.name}: {text}" for log in logs for text in log.damage),
         attached={name: text for log in logs for name, text in log.attached.items()},
         events=tuple(event for log in logs for event in log.events),
+        units={column: unit for log in logs for column, unit in log.units.items()},
     )
 
 
