@@ -60,6 +60,8 @@ def test_a_draft_for_ros_messages_loads_and_gives_the_flight(
         {"cmd_x": "ux", "cmd_y": "uy", "cmd_z": "uz", "cmd_yaw": "uyaw", "x": "x_pos", "y": "y_pos", "z": "z_pos"},
         {"cmd_x": "cmdPitch", "cmd_y": "cmdRoll", "cmd_z": "cmd_climb", "cmd_yaw": "cmd_yaw_rate", "yaw": "Heading"},
         {"cmd_x": "cmd_fwd", "cmd_y": "cmd_left", "cmd_z": "cmd_up", "cmd_yaw": "cmd_turn"},
+        {"cmd_x": "pcmd_pitch", "cmd_y": "pcmd_roll", "cmd_z": "pcmd_gaz", "cmd_yaw": "pcmd_yaw"},
+        {"cmd_x": "pitch [%]", "cmd_y": "roll [%]", "cmd_z": "gaz [%]", "cmd_yaw": "yaw_rate [%]"},
         {"cmd_x": "pitch_pct", "cmd_y": "roll_pct", "cmd_z": "throttle_pct", "cmd_yaw": "yaw_pct"},
         {"cmd_x": "vx_ref", "cmd_y": "vy_ref", "cmd_z": "vz_ref", "cmd_yaw": "yaw_rate_ref", "time": "Time"},
         {"cmd_x": "cmd_vel.linear.x", "cmd_y": "cmd_vel.linear.y", "cmd_z": "cmd_vel.linear.z"}
@@ -742,6 +744,93 @@ def test_commands_of_a_bag_without_a_pose_are_commands_and_the_pose_is_missed() 
     assert "[velocity]" not in text
     with pytest.raises(CardError, match="holds commands but nothing that looks like a position"):
         card_choice.proposal(log)
+
+
+# Commands of a Parrot
+
+
+def parrot(sdk: str = "bebop", **more: np.ndarray) -> dict:
+    """A flight with the commands as a Parrot's SDK takes them: per cent, to the right and clockwise positive."""
+    names = ("theta", "phi", "gaz", "yaw") if sdk == "ardrone" else ("pitch", "roll", "gaz", "yaw")
+    senses = (-1 if sdk == "ardrone" else 1, -1, 1, -1)
+    true, sent = turning(), zip(names, senses, COMMAND.values(), strict=True)
+    sticks = {name: np.round(100 * sense * series) for name, sense, series in sent}
+    return {"time": T, **{axis: true[axis] for axis in "xyz"}, "heading": true["yaw"], **sticks, **more}
+
+
+def assert_obeyed(text: str, names: tuple, scales: tuple, heading: str, tmp_path: Path) -> None:
+    card = loaded(text, tmp_path)
+    assert tuple((one.source, one.scale) for one in card.command.values()) == tuple(zip(names, scales, strict=True))
+    assert card.pose["yaw"].source == heading
+    assert not any("EDIT" in line for line in text.splitlines() if line.startswith(("x =", "y =", "z =", "yaw =")))
+
+
+@pytest.mark.parametrize("sdk", ["bebop", "ardrone"])
+def test_a_draft_knows_the_commands_of_a_parrot_by_gaz_and_their_signs(sdk: str, tmp_path: Path) -> None:
+    columns = parrot(sdk)
+    names, ahead = tuple(columns)[5:], -1 if sdk == "ardrone" else 1
+
+    text = draft_card(log_of(flight=columns))
+    still = draft_card(log_of(flight=columns | {name: np.ones(T.size) for name in names}))
+
+    assert_obeyed(text, names, (ahead, -1, 1, -1), "heading", tmp_path)
+    assert {one.scale for one in (loaded(still, tmp_path).command[axis] for axis in ("y", "yaw"))} == {-1}
+
+
+def test_the_motion_stands_over_the_signs_of_a_parrot(tmp_path: Path) -> None:
+    columns = parrot()
+    columns |= {"pitch": -columns["pitch"], "roll": -columns["roll"]}
+
+    text = draft_card(log_of(flight=columns))
+
+    assert_obeyed(text, ("pitch", "roll", "gaz", "yaw"), (-1, 1, 1, -1), "heading", tmp_path)
+
+
+def test_beside_gaz_yaw_is_the_heading_where_there_is_a_rate_and_asked_about_where_there_is_nothing_else(
+    tmp_path: Path,
+) -> None:
+    columns = parrot()
+    columns |= {"yaw_rate": columns.pop("yaw"), "yaw": columns.pop("heading")}
+
+    with_rate = draft_card(log_of(flight=columns))
+    del columns["yaw_rate"]
+    alone = draft_card(log_of(flight=columns))
+
+    assert_obeyed(with_rate, ("pitch", "roll", "gaz", "yaw_rate"), (1, -1, 1, -1), "yaw", tmp_path)
+    assert set(loaded(alone, tmp_path).command) == {"x", "y", "z"}
+    assert 'yaw = "yaw"  # EDIT: beside gaz it may be a command; then the heading is missing' in alone
+
+
+def test_in_a_file_of_commands_of_a_parrot_yaw_is_one(tmp_path: Path) -> None:
+    columns = parrot()
+    pose = {"t": T, **{axis: columns[axis] for axis in "xyz"}, "yaw": columns["heading"]}
+    sticks = {"t": T, **{name: columns[name] for name in ("roll", "pitch", "yaw", "gaz")}}
+
+    text = draft_card(join_logs([log_of("sticks.csv", sticks=sticks), log_of("mocap.csv", mocap=pose)]))
+
+    card = loaded(text, tmp_path)
+    assert card.command["yaw"].source == "sticks:yaw"
+    assert card.pose["yaw"].source == "mocap:yaw"
+
+
+def test_a_quaternion_beside_gaz_is_the_heading(tmp_path: Path) -> None:
+    columns = parrot()
+    half = columns.pop("heading") / 2
+    columns |= {"qw": np.cos(half), "qx": 0 * half, "qy": 0 * half, "qz": np.sin(half)}
+
+    for left_out in ([], ["yaw"]):
+        card = loaded(draft_card(log_of(flight={n: one for n, one in columns.items() if n not in left_out})), tmp_path)
+
+        assert card.pose["qw"].source == "qw"
+        assert set(card.command) == {"x", "y", "z", "yaw"} - set(left_out)
+
+
+@pytest.mark.parametrize("without", ["gaz", "pitch"])
+def test_angles_of_an_attitude_are_no_commands(without: str) -> None:
+    columns = parrot()
+    del columns[without]
+
+    assert "nothing was recognised for [command] x, y, z or yaw" in draft_card(log_of(flight=columns))
 
 
 # A pose that is not what it seems

@@ -50,7 +50,7 @@ from rotorfit.files.cards import builtin_card_text, card_from_mapping
 from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import format_of
 from rotorfit.flights.assemble import flight_from_log
-from rotorfit.flights.columns import shape_text, source_of
+from rotorfit.flights.columns import name_without_unit, shape_text, source_of
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,16 @@ def found_in(log: Log, pose: Recognised, guess: bool = True) -> DraftContents:
     said = dict.fromkeys(pose.strays, "EDIT: named unlike the others, and perhaps of another sensor")
     if _is_whole(pose) and re.search(r"\d\]?$", str(pose.channels["qw"].source)):
         said["qw"] = _ORDER_GUESSED
+    if "yaw" not in commands.channels and _is_beside_gaz(commands, pose):
+        said["yaw"] = "EDIT: beside gaz it may be a command; then the heading is missing"
     return DraftContents(commands, pose, velocity, "heading", of_velocity, frame, remark, said, doubted)
+
+
+def _is_beside_gaz(commands: Recognised, pose: Recognised) -> bool:
+    """Whether a heading stands beside commands named as in Parrot's SDKs, among which it may be."""
+    climb = commands.channels.get("z")
+    named = climb is not None and name_without_unit(str(climb.source).rpartition(":")[2]) == "gaz"
+    return named and "yaw" in pose.channels and pose.table == commands.table
 
 
 def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: str = "") -> str:

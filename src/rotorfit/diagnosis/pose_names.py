@@ -121,8 +121,17 @@ def _filled(families: Sequence[Family]) -> dict[str, str]:
 
 
 def headings_named(table: Table) -> list[Family]:
-    """Headings in a table: quaternions before yaws."""
-    return [family for family in _families(table, _HEADINGS) if "yaw" in family.names or len(family.names) == 4]
+    """Headings in a table: quaternions before yaws.
+
+    Beside `gaz` a yaw is a command, as Parrot's SDKs name them, if the command is not `yaw_rate` there. It is taken for
+    the heading only of a position that has no other one.
+    """
+    found = [family for family in _families(table, _HEADINGS) if "yaw" in family.names or len(family.names) == 4]
+    plain = {name_without_unit(name): name for name in series_of(table)}
+    if not {"gaz", "yaw"} <= plain.keys() or plain.keys() & {"yaw_rate", "yaw_speed"}:
+        return found
+    others = [family for family in found if family.names.get("yaw") != plain["yaw"]]
+    return others or (found if _families(table, _PLACES) else [])
 
 
 def _pose(place: Family, places: Sequence[Family], headings: Sequence[Family]) -> NamedPose:

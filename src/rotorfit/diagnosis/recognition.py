@@ -33,7 +33,7 @@ from rotorfit.flights.columns import (
 from rotorfit.flights.stamps import degrees_for_radians, increasing, stamps_of
 
 _COMMAND_FAMILIES = (
-    ("(?:(?:.*_)?cmd_vel(?:_twist)?|cmd|command)", "(?:v_?)?"),
+    ("(?:(?:.*_)?cmd_vel(?:_twist)?|p?cmd|command)", "(?:v_?)?"),
     ("(?:u|input|ctrl|control)", "(?:v_?)?"),
     ("(?:ref|setpoint|sp|des|desired|(?:ctrl)?target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
     ("(?:pct|percent|stick)", "(?:v_?)?"),
@@ -52,7 +52,7 @@ _TURN_RATE = "yaw|yaw_?rate|turn|rudder|psi|psi_?dot|r|w|wz|ang_?z|angular_z"
 _FORWARD, _LEFT, _UP = (
     "lin_?x|linear_x|vf|pitch|theta|forward|fwd",
     "lin_?y|linear_y|vl|roll|phi|left",
-    "lin_?z|linear_z|ve|climb|up|throttle|thrust",
+    "lin_?z|linear_z|ve|climb|up|throttle|thrust|gaz",
 )
 
 _STICKS = {
@@ -61,6 +61,15 @@ _STICKS = {
     "z": "(?:rc_)?ud|up_down(?:_velocity)?",
     "yaw": "(?:rc_)?yv|rc_yaw|yaw_velocity",  # which alone may be measured
 }
+
+_PARROT = ({"x": "pitch", "y": "roll", "z": "gaz"}, {"x": "theta", "y": "phi", "z": "gaz"})
+"""Names of commands in Parrot's SDKs: of ARSDK 3 (Bebop) and of the AR.Drone. Without gaz they are an attitude."""
+
+_PARROT_TURNED = "(?:^|_)(?:roll|phi|yaw|theta)(?:_|$)"
+"""Of these those that are to the right, clockwise or, theta, backward where positive.
+
+Source: ARCommands (piloting, PCMD); AR.Drone SDK 2.0.1, ardrone_tool_set_progressive_cmd.
+"""
 
 _Y_UP = {"x": "z", "y": "x", "z": "y", "qw": "qw", "qx": "qz", "qy": "qx", "qz": "qy"}
 
@@ -115,9 +124,17 @@ class Recognised:
 
 
 def commands_in(log: Log) -> Recognised:
-    """Axis to column of the commands, by name; z is a stray where x and y are named velocities, and it is not."""
+    """Axis to column of the commands, by name; z is a stray where x and y are named velocities, and it is not.
+
+    Beside `gaz` they have the signs of Parrot's SDKs.
+    """
     found = _recognised(log, _commands)
     names = {axis: plain_name(str(channel.source).rpartition(":")[2]) for axis, channel in found.channels.items()}
+    if re.search(r"(?:^|_)gaz(?:_|$)", names.get("z", "")):
+        turned = {
+            axis: replace(found.channels[axis], scale=-1) for axis in names if re.search(_PARROT_TURNED, names[axis])
+        }
+        return replace(found, channels={**found.channels, **turned})
     fast = {axis for axis, name in names.items() if re.search(rf"v(?:el)?_?{axis}(?:_|$)", name)}
     height = {"x", "y"} <= fast and "z" not in fast and re.search(r"(?:^|_)z(?:_|$)", names.get("z", ""))
     return replace(found, strays=("z",)) if height else found
@@ -351,7 +368,17 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
         families.append(_named(table, _SETPOINT))
     if (len(log.tables) > 1 or _asked(log, table)) and not poses_named(table):
         families.append(_named(table, twist))
+    if not any({"x", "y"} <= family.keys() for family in families):
+        families.append(_of_parrot(table))
     return max(families, key=len)
+
+
+def _of_parrot(table: Table) -> dict[str, str]:
+    """Axis to column of the commands of a Parrot: pitch, roll and gaz, and a yaw that is no heading."""
+    sticks = next((named for names in _PARROT if len(named := _named(table, names)) == len(names)), {})
+    turn = _named(table, {"yaw": "yaw_?(?:rate|speed)"}) or _named(table, {"yaw": "yaw"})
+    headings = {name for family in headings_named(table) for name in family.names.values()}
+    return sticks | {axis: name for axis, name in turn.items() if sticks and name not in headings}
 
 
 def _family(table: Table, word: str, speed: str) -> dict[str, str]:
