@@ -21,6 +21,7 @@ from rotorfit.files.cards import builtin_card_text, load_card
 from rotorfit.files.logs import read
 from rotorfit.files.logs.several import join_logs
 from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.several_files import bound
 
 # Drafts
 
@@ -221,10 +222,10 @@ def test_a_draft_reads_the_tables_of_rostopic_and_of_plotjuggler(tmp_path: Path)
 
     first, second = loaded(draft_card(echoed), tmp_path), loaded(draft_card(juggled), tmp_path)
 
-    assert (first.command_time.source, first.command_time.unit) == ("cmd:%time", "ns")
-    assert (first.pose_time.source, first.pose_time.unit) == ("pose:field.header.stamp", "ns")
-    assert first.command["x"].source == "cmd:field.linear.x"
-    assert first.pose["qw"].source == "pose:field.pose.orientation.w"
+    assert (first.command_time.source, first.command_time.unit) == ("%time", "ns")
+    assert (first.pose_time.source, first.pose_time.unit) == ("field.header.stamp", "ns")
+    assert first.command["x"].source == "field.linear.x"
+    assert first.pose["qw"].source == "field.pose.orientation.w"
     assert (second.command_time.source, second.pose_time.source) == ("__time", "__time")
     assert second.command["yaw"].source == "/drone/cmd_vel/angular/z"
     assert second.pose["x"].source == "/vrpn_client_node/drone/pose/pose/position/x"
@@ -498,7 +499,7 @@ def test_the_body_of_motion_capture_is_found_beside_the_log_of_the_commands(kind
         text = draft_card(join_logs(logs))
 
         assert "INCOMPLETE" not in text
-        assert f'\nz = "take:drone.position.{up}"' in text
+        assert f'\nz = "drone.position.{up}"' in text
         assert ("# Motive has y up" in text) == (kind == "motive")
 
 
@@ -512,6 +513,38 @@ def test_position_and_quaternion_of_motion_capture_are_of_one_body_and_a_rotatio
 
     assert '\nz = "drone.position.z"' in text
     assert '\nquaternion = "drone.quaternion"' in text
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_a_draft_for_two_files_reads_those_of_the_next_flight(several: bool, tmp_path: Path) -> None:
+    """Where another file has the columns of a pose, too, the name of its file is needed, but for its numbers."""
+    true = turning()
+    command = {"t": T, **{f"cmd_{axis}": series for axis, series in COMMAND.items()}, "armed": (T > 1).astype(int)}
+    pose = {"t": T, **{axis: true[axis] for axis in ("x", "y", "z", "yaw")}}
+
+    def of(day: str) -> Log:
+        sheets = {f"sent-{day}": command, f"{day}_mocap": pose} | ({f"{day}_onboard": pose} if several else {})
+        return join_logs([log_of(f"{name}.csv", **{name: sheet}) for name, sheet in sheets.items()])
+
+    text = draft_card(of("2024-05-01"))
+
+    card = loaded(text, tmp_path)
+    assert "2024" not in "".join(line for line in text.splitlines() if " = " in line and not line.startswith("name"))
+    assert '\nwhen = "armed"' in text
+    assert card.pose["x"].source == ("*_mocap:x" if several else "x")
+    flights = [flight_from_log(of(day), card) for day in ("2024-05-01", "2024-06-12_3")]
+    np.testing.assert_array_equal(flights[0].position, flights[1].position)
+    assert flights[0].duration > 20
+
+
+def test_a_draft_that_lacks_essentials_keeps_the_names_of_its_files() -> None:
+    pose = {"t": T, **{axis: turning()[axis] for axis in "xyz"}}
+
+    text = draft_card(join_logs([log_of("a.csv", a={"t": T, "cmd_x": COMMAND["x"]}), log_of("b.csv", b=pose)]))
+
+    assert "INCOMPLETE" in text
+    assert 'x = "a:cmd_x"' in text
+    assert 'x = "b:x"' in text
 
 
 def bodies_of(kind: str, **bodies: dict) -> Log:
@@ -538,7 +571,7 @@ def test_of_several_bodies_a_draft_takes_the_one_that_answers_the_commands_and_n
 
     text = draft_card(log)
 
-    assert loaded(text, tmp_path).pose["x"].source == "take:vehicle.position.x"
+    assert loaded(text, tmp_path).pose["x"].source == "vehicle.position.x"
     assert "# EDIT if one of these is right: take:wand.position.x" in text
     assert "Signs were checked against the motion." in text
 
@@ -547,7 +580,7 @@ def test_of_several_bodies_a_draft_takes_the_one_that_answers_the_commands_and_n
 def test_the_axes_of_motive_are_those_in_which_the_vehicle_obeys(up: str) -> None:
     text = draft_card(bodies_of("motive", drone=body(turning(), up)))
 
-    assert f'\nz = "take:drone.position.{up}"' in text
+    assert f'\nz = "drone.position.{up}"' in text
     assert ("# Motive has y up" in text) == (up == "y")
     assert "EDIT" not in text.partition("[pose]")[2].partition("\n# [limits]")[0]
 
@@ -806,9 +839,11 @@ def test_in_a_file_of_commands_of_a_parrot_yaw_is_one(tmp_path: Path) -> None:
     pose = {"t": T, **{axis: columns[axis] for axis in "xyz"}, "yaw": columns["heading"]}
     sticks = {"t": T, **{name: columns[name] for name in ("roll", "pitch", "yaw", "gaz")}}
 
-    text = draft_card(join_logs([log_of("sticks.csv", sticks=sticks), log_of("mocap.csv", mocap=pose)]))
+    log = join_logs([log_of("sticks.csv", sticks=sticks), log_of("mocap.csv", mocap=pose)])
 
-    card = loaded(text, tmp_path)
+    text = draft_card(log)
+
+    card = bound(loaded(text, tmp_path), log)
     assert card.command["yaw"].source == "sticks:yaw"
     assert card.pose["yaw"].source == "mocap:yaw"
 

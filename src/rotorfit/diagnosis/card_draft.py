@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.core.card import Channel
+from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import CardError, FlightError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log
@@ -51,6 +51,7 @@ from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import format_of
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import name_without_unit, shape_text, source_of
+from rotorfit.flights.several_files import bound
 
 
 @dataclass(frozen=True)
@@ -292,7 +293,8 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     asked = _doubting_radians(log, _commanded(log, _answering(log)))
     found, told = asked.found, asked.answers
     if told is None:
-        return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
+        why = f"The motion could not be used: {line_of(asked.why)}." if asked.why else ""
+        return _for_the_next_files(log, text_of(log, found, {}, why))
     if turned := ", ".join(overturned(told.of, asked.height)):
         found = replace(found, pose_remark=f"as z is above 0; {turned} are turned together: forward, right, down?")
     elif asked.height < 0 and found.pose_frame == "ENU":
@@ -304,7 +306,37 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     sure = all(answer.axis for answer in told.of.values())
     checked = f"Signs were checked against the motion{'' if sure else ', which does not tell those marked EDIT'}."
     frame = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
-    return text_of(log, found, said, f"{checked}{frame}")
+    return _for_the_next_files(log, text_of(log, found, said, f"{checked}{frame}"))
+
+
+def _for_the_next_files(log: Log, text: str) -> str:
+    """A draft for several files that does not need their names: those of the next flight are called otherwise.
+
+    A section without a table finds the one that holds its columns. Where two do, a table is named by a pattern, with a
+    star for the numbers in the file's name. Either is taken only if it reads the same columns.
+    """
+    read = _columns_read(log, text)
+    for table, file in log.file_of.items() if read else ():
+        stem = Path(file).stem
+        if table == stem or table.startswith(f"{stem}/"):
+            pattern = re.sub(r"\d+(?:[-_.]\d+)*", "*", table)
+            others = (text.replace(_opened(f"{table}:"), _opened(name)) for name in ("", f"{pattern}:"))
+            text = next((other for other in others if _columns_read(log, other) == read), text)
+    return text
+
+
+def _opened(text: str) -> str:
+    """How a quoted text begins."""
+    return _quoted(text)[:-1]
+
+
+def _columns_read(log: Log, text: str) -> Card | None:
+    """The card of a draft with the columns as it finds them in a log; None where it is incomplete."""
+    try:
+        card = card_from_mapping(plain_toml(text), "drafted")
+    except (CardError, ValueError):
+        return None
+    return replace(bound(card, log), raw={})
 
 
 def _builtin(log: Log) -> str | None:
