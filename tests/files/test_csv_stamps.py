@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rotorfit.core.card import Channel
+from rotorfit.core.errors import CardError
 from rotorfit.core.log import Log, Table
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read
@@ -158,6 +159,13 @@ def test_dates_are_nanoseconds_whatever_unit_is_stated(tmp_path: Path) -> None:
     table_of(tmp_path, "time,x\ns,m", [f"{step:%H:%M:%S.%f},1.5" for step in STEPS])
 
     assert read(tmp_path / "flight.csv").units == {("flight", "x"): "m"}
+
+
+def test_a_stated_unit_in_which_no_clock_counts_is_to_be_corrected_in_the_file(tmp_path: Path) -> None:
+    table_of(tmp_path, "time,x\ns,m", [f"{stamp},1.5" for stamp in NANOSECONDS])
+
+    with pytest.raises(CardError, match=r'correct the unit that the file states, to "ns", which would be 1.71e\+09 s'):
+        stamps_of(read(tmp_path / "flight.csv"), Channel("time", unit="s"))
 
 
 UNITED = """[command]

@@ -12,7 +12,7 @@ from rotorfit.core.card import Channel
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.log import Log
-from rotorfit.flights.columns import SINCE_1970, raw_column, table_of
+from rotorfit.flights.columns import SINCE_1970, raw_column, stated_unit, table_of
 
 Stamps = npt.NDArray[np.int64]
 """Stamps of a stream, shape (N,) [ns]."""
@@ -144,8 +144,13 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
         typical = float(np.median(sizes[finite]))
         counted = {each: typical * _NS[each] / 1e9 for each in ("ms", "us", "ns")}
         likely = next((each for each, seconds in counted.items() if SINCE_1970[0] < seconds < SINCE_1970[1]), "ns")
+        advice = (
+            "correct the unit that the file states, to"
+            if stated_unit(log, time) == unit
+            else "add their unit, as unit ="
+        )
         raise CardError(
-            f"{log.path}: stamps of {time.source} are about {typical:.3g} {unit}: add their unit, as unit = "
+            f"{log.path}: stamps of {time.source} are about {typical:.3g} {unit}: {advice} "
             f'"{likely}", which would be {counted[likely]:.3g} s'
         )
     kept = np.where(in_range, raw, 0)
