@@ -53,6 +53,14 @@ def ratio(axis: Axis, name: str) -> float:
     return width(axis.ci95[name]) / width(axis.ci95_flight[name])
 
 
+def test_the_vehicles_interval_has_nothing_that_the_parameter_cannot_be() -> None:
+    flight = flown_by("quadratic_drag", duration=8.0, amplitude=0.1, wind=0.3, noise=0.002)
+
+    z = fit([flight], axes=("z",), structure="quadratic_drag").model.axes["z"]
+
+    assert z.ci95["drag_share"] == z.ci95_flight["drag_share"] == (None, 1.0)
+
+
 def test_a_vehicle_that_obeys_the_law_has_an_interval_hardly_wider_than_its_flight() -> None:
     axis = of_law().model.axes["z"]
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.core.laws import structure_named
+from rotorfit.core.laws import Extra, structure_named
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Evidence, Interval, Model, Spread
 from rotorfit.estimation.judgement.cross_check import with_instruments
 from rotorfit.estimation.judgement.each_flight import each_flight
@@ -200,6 +200,11 @@ def _axis(axis: Axis, found: Mapping[str, Judged], evidence: tuple[Evidence, ...
     """The axis with both intervals, and with statuses and values that follow from the interval of the vehicle."""
     assert axis.predictor is not None
     ends = {name: found[name].vehicle if name in found else ends for name, ends in axis.ci95.items()}
+    ends |= {
+        extra.name: _within(ends[extra.name], extra)
+        for extra in structure_named(axis.structure).extras
+        if extra.closed and extra.name in ends
+    }
     flight = {name: found[name].flight if name in found else ends for name, ends in axis.ci95.items()}
     values = {name: getattr(axis.predictor, name) for name in COEFFICIENTS} | dict(axis.predictor.extra)
     values |= {name: moved(one.estimand, one.shift) for name, one in found.items()}
@@ -222,6 +227,12 @@ def _axis(axis: Axis, found: Mapping[str, Judged], evidence: tuple[Evidence, ...
         spread={name: one.spread for name, one in found.items()},
         evidence=evidence,
     )
+
+
+def _within(ends: Interval, extra: Extra) -> Interval:
+    """An interval without what its parameter cannot be; an open end stays open."""
+    low, high = ends
+    return (None if low is None else max(low, extra.low), None if high is None else min(high, extra.high))
 
 
 def _statuses(axis: Axis, ends: Mapping[str, Interval], refuted: Sequence[str]) -> dict[str, str]:
