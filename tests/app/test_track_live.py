@@ -1,5 +1,6 @@
 """`rotorfit track --link`: what is said, written and served; that it ends well, and goes on after it was killed."""
 
+import fcntl
 import hashlib
 import json
 import os
@@ -13,6 +14,7 @@ from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -159,6 +161,35 @@ def test_ctrl_c_ends_it_with_everything_written(tmp_path: Path) -> None:
     assert json.loads(out.splitlines()[-1])["type"] == "end"
     assert "Ctrl-C" in err
     assert not read(record).damage
+
+
+@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="the size of a pipe is Linux's")
+def test_a_reader_who_stalls_holds_up_neither_the_recording_nor_ctrl_c(tmp_path: Path) -> None:
+    record, memory = tmp_path / "flight.mcap", tmp_path / "memory"
+    kept = ("--jsonl", "--record", str(record), "--state", str(memory), "-o", str(tmp_path / "model.json"))
+    words = [sys.executable, "-m", "rotorfit", "track", "--link", "sim", *kept, *QUICK[2:], "--pace", "4"]
+    begun = time.monotonic()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)  # two states fill it
+        while time.monotonic() - begun < 120 and not (memory.exists() and _time_of(memory) > 25.0):
+            time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        code, (_, err) = process.wait(60), process.communicate()
+
+    assert code == 0, err
+    assert "nobody reads the output: it waits, and what is recorded goes on" in err
+    assert "the last lines were not printed" in err
+    flight = training_flights(load(tmp_path / "model.json"))[0]
+    assert len(flight) == 1
+    poses = read(record).tables["/rotorfit/pose"].columns["log_time"]
+    assert (poses[-1] - poses[0]) / 1e9 > 25.0
+
+
+def _time_of(memory: Path) -> float:
+    """Second of the flight up to which a tracker remembers."""
+    with np.load(memory) as kept:
+        return float(kept["now"])
 
 
 def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:

@@ -240,6 +240,29 @@ def test_a_connection_that_breaks_is_opened_again(monkeypatch: pytest.MonkeyPatc
     assert "the link is back" in news[1:]
 
 
+class Steady(Scripted):
+    """A live link that never breaks."""
+
+    live = True
+
+    def receive(self, _until: int) -> list[Sample]:
+        time.sleep(0.005)
+        return super().receive(wall_clock())
+
+
+def test_what_came_while_nobody_took_it_is_handed_over_after_the_operator_has_ended_it() -> None:
+    listening = Listening(lambda: Steady(lambda _: False), 4.0, None, 1.0, lambda: "Ctrl-C")  # type: ignore[arg-type,return-value]
+    batches = iter(listening)
+    next(batches)
+    time.sleep(0.5)
+    began = wall_clock()
+    stamps = [sample.stamp for batch in batches for sample in batch.samples]
+
+    assert listening.ended == "Ctrl-C"
+    assert sum(stamp < began for stamp in stamps) > 10
+    assert stamps[-1] - began < 0.2 * SECOND
+
+
 class Faulty(Breaking):
     """A live link with a bug."""
 

@@ -8,6 +8,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,9 @@ SILENT = 2.0
 RETRY = 1.0
 """Time between two attempts to reopen a broken link [s]."""
 
+LEAVING = 5.0
+"""How long a live link that was ended may take to hand over what it has received [s]."""
+
 
 @dataclass(frozen=True)
 class Heard:
@@ -44,7 +48,7 @@ class Heard:
 
 
 class Listening:
-    """Iterates over the batches of a link until it ends.
+    """Iterates over the batches of a link until it ends; what had been received by then is among them.
 
     Args:
         opened: Opens the link.
@@ -72,6 +76,7 @@ class Listening:
         self.ended, self.lost = "", False
         self._opened, self._patience, self._seconds, self._stopped = opened, patience, seconds, stopped
         self._pace, self._link = pace, opened()
+        self._over = threading.Event()
 
     @property
     def live(self) -> bool:
@@ -87,6 +92,9 @@ class Listening:
         begun = self._link.now
         heard_at, gone = begun, False
         for batch in self._live() if self._link.live else self._paced():
+            if self._over.is_set():  # received before, while the tracker was busy
+                yield Heard(batch.samples, batch.now)
+                continue
             news = batch.news
             if any(sample.stream == "pose" for sample in batch.samples):
                 heard_at = batch.now
@@ -96,57 +104,58 @@ class Listening:
                 news = news or f"no pose for {SILENT:g} s: waiting for it {self._patience:g} s"
             yield Heard(batch.samples, batch.now, news)
             if stopped := self._stopped():
-                return self._end(stopped)
-            if self._seconds is not None and batch.now - begun >= self._seconds * 1e9:
-                return self._end(f"{self._seconds:g} s have passed")
-            if batch.now - heard_at > max(self._patience, SILENT) * 1e9:
-                return self._end(f"no pose for {self._patience:g} s", lost=True)
-        return None
+                self._end(stopped)
+            elif self._seconds is not None and batch.now - begun >= self._seconds * 1e9:
+                self._end(f"{self._seconds:g} s have passed")
+            elif batch.now - heard_at > max(self._patience, SILENT) * 1e9:
+                self._end(f"no pose for {self._patience:g} s", lost=True)
 
     def _end(self, why: str, lost: bool = False) -> None:
-        self.ended, self.lost = self.ended or why, self.lost or lost
+        """Ends it for the first reason that comes."""
+        if not self._over.is_set():
+            self.ended, self.lost = why, lost
+        self._over.set()
 
     def _paced(self) -> Iterator[Heard]:
         link, begun, start = self._link, self._link.now, time.monotonic()
         step = round(PERIOD * 1e9)
-        while True:
+        while not self._over.is_set():
             try:
                 samples = link.receive(link.now + step)
             except LinkOverError as over:
                 return self._end(str(over))
             yield Heard(tuple(samples), link.now)
             left = (link.now - begun) / 1e9 / self._pace - (time.monotonic() - start)
-            time.sleep(max(left, 0.0))
+            self._over.wait(max(left, 0.0))
 
     def _live(self) -> Iterator[Heard]:
         batches: queue.Queue[Heard | LinkError | None] = queue.Queue()
-        over = threading.Event()
-        thread = threading.Thread(target=self._run, args=(batches, over), name="rotorfit-listening", daemon=True)
+        thread = threading.Thread(target=self._run, args=(batches,), name="rotorfit-listening", daemon=True)
         thread.start()
         try:
-            while True:
-                found = batches.get()
-                if found is None:
-                    raise RuntimeError("the thread that listens has failed; its trace is above")
-                if isinstance(found, LinkError):
-                    return self._end(str(found), lost=True)
-                yield found
+            with suppress(queue.Empty):  # the link does not come back from its last call
+                while found := batches.get(timeout=LEAVING if self._over.is_set() else None):
+                    if isinstance(found, LinkError):
+                        return self._end(str(found), lost=True)
+                    yield found
+            if not self._over.is_set():
+                raise RuntimeError("the thread that listens has failed; its trace is above")
         finally:
-            over.set()
-            thread.join(5.0)
+            self._over.set()
+            thread.join(LEAVING)
 
-    def _run(self, batches: Any, over: threading.Event) -> None:
+    def _run(self, batches: Any) -> None:
         """Body of the thread: a failure of ours ends what it hands over, so that nobody waits for it."""
         try:
-            self._read(batches, over)
+            self._read(batches)
         finally:
             batches.put(None)
 
-    def _read(self, batches: Any, over: threading.Event) -> None:
+    def _read(self, batches: Any) -> None:
         """Reads the link, and reopens it if it breaks."""
         link: Link | None = self._link
         broken, since, due = "", 0.0, 0
-        while not over.is_set():
+        while not self._over.is_set():
             try:
                 if link is None:
                     link = self._opened()
@@ -159,7 +168,7 @@ class Listening:
                 elif time.monotonic() - since > self._patience:
                     batches.put(LinkError(f"{broken}; not back within {self._patience:g} s"))
                     return
-                over.wait(RETRY)
+                self._over.wait(RETRY)
                 continue
             if samples or broken or link.now >= due:
                 due = link.now + round(PERIOD * 1e9)

@@ -1,9 +1,11 @@
 """The verb that tracks a vehicle while it flies, or a log as if it were live."""
 
 import json
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from rotorfit.app.live.outlets import Recording, Remembering
     from rotorfit.app.live.regained import Message, Regaining
     from rotorfit.app.live.serving import Views
+    from rotorfit.app.terminal.printer import Printer
     from rotorfit.core.errors import RotorfitError
     from rotorfit.core.flight_data import Flight
     from rotorfit.core.tracked import Track, Tracked
@@ -124,6 +127,7 @@ def track(
 ) -> None:
     """Estimate the model while the vehicle flies, and report when it changes. Sends no commands."""
     from rotorfit.app.live.serving import Views
+    from rotorfit.app.terminal.printer import Printer
     from rotorfit.app.workflows import MODEL_MARK, check_destination, check_page
     from rotorfit.core.laws import AVERAGED
     from rotorfit.core.writing import check_place
@@ -149,21 +153,33 @@ def track(
         record = _next_part(record) if memory and memory.exists() else record
         check_new(record)
     earlier = earlier_of(after) if after else None
-    regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
-    asked = _Asked(card, structure, false_alarms, pace, jsonl, earlier, regaining)
+    out, err = Printer(beside=link is not None), Printer(beside=link is not None)
+    regaining = _regaining(gains, jsonl, earlier, out, err) if gains is not None else None
+    asked = _Asked(card, structure, false_alarms, pace, jsonl, earlier, regaining, out, err)
     stopped, trouble = "", None
     with Views(page, foxglove, publish, str(link or log), lambda text: click.echo(text, err=True)) as views:
         if link is not None:
-            result, flight, trouble = _listened(link, asked, views, seconds, patience, record, memory)
+            result, flight, stopped, trouble = _listened(link, asked, views, seconds, patience, record, memory)
         else:
             result, flight, stopped = _replayed(str(log), asked, views)
         options = {"--card": card, "--structure": None if structure == AVERAGED else structure, "--after": after}
         again = [str(log or record), *(word for pair in options.items() if pair[1] for word in map(str, pair))]
         _told(result, flight, asked, output, report, again)
     if trouble:
-        raise trouble
-    if stopped:
-        raise SystemExit(1)  # all results are complete, but the log was not read to its end
+        err.take(lambda: click.echo(f"Error: {trouble}", err=True))
+    _left(out, err, bool(stopped), 1 if trouble or (stopped and log) else 0)  # a log was not read to its end
+
+
+def _left(out: "Printer", err: "Printer", at_once: bool, code: int) -> None:
+    """Leaves with an exit code when all is read, or where the operator has ended it, when the reader stalls."""
+    read = out.close(patient=not at_once)
+    if out.spared or not read:
+        missing = f"{out.spared} states" if read else "the last lines"
+        err.take(lambda: click.echo(f"{missing} were not printed: nobody read the output", err=True))
+    if not (err.close(patient=False) and read):
+        os._exit(code)
+    if code:
+        raise SystemExit(code)
 
 
 def _next_part(record: Path) -> Path:
@@ -182,6 +198,8 @@ class _Asked:
     Attributes:
         earlier: The model of `--after`.
         regaining: What `--tune` does; None without it.
+        out: Prints to stdout.
+        err: Prints to stderr.
     """
 
     card: str | None
@@ -191,6 +209,8 @@ class _Asked:
     jsonl: bool
     earlier: "Earlier | None"
     regaining: "Regaining | None"
+    out: "Printer"
+    err: "Printer"
 
 
 def _told(
@@ -214,41 +234,47 @@ def _told(
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.tracking import track_view
 
-    files = _written(result, output) if output else [None] * len(result.regimes)
+    files = _written(result, output, asked.err) if output else [None] * len(result.regimes)
     if report and flight:
         from rotorfit.reporting import write_timeline
 
-        say_kept(write_timeline(result, flight, report, files, again))
+        kept = write_timeline(result, flight, report, files, again)
+        asked.err.take(lambda: say_kept(kept))
     if asked.jsonl:
-        click.echo(json.dumps(_end(result, files, report if flight else None), allow_nan=False))
+        line = json.dumps(_end(result, files, report if flight else None), allow_nan=False)
+        asked.out.take(lambda: click.echo(line))
         return
-    show(track_view(result))
-    for file in files:
-        if file:
-            click.echo(f"Model written to {file}.")
-    if output and not any(files):
-        click.echo("No model written: nothing was identified.")
+    asked.out.take(lambda: show(track_view(result)))
+    written = [f"Model written to {file}." for file in files if file]
+    if output and not written:
+        written.append("No model written: nothing was identified.")
     if asked.regaining:
-        click.echo(asked.regaining.summary)
+        written.append(asked.regaining.summary)
     if report and flight:
-        click.echo(f"Report written to {report}.")
+        written.append(f"Report written to {report}.")
+    asked.out.take(lambda: click.echo("".join(f"{line}\n" for line in written), nl=False))
 
 
-def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining":
+def _regaining(path: str, jsonl: bool, earlier: "Earlier | None", out: "Printer", err: "Printer") -> "Regaining":
     """Publishes new gains, each as a line of JSON or in words."""
     from rotorfit.app.live.regained import regaining_of
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.terminal.tracking import gains_view
 
-    def show_gains(message: "Message", _now: int) -> None:
+    def show_gains(message: "Message") -> None:
         if jsonl:
             click.echo(json.dumps(message, allow_nan=False))
         else:
             line_cleared()
             show(gains_view(message))
 
-    return regaining_of(path, show_gains, say_kept, earlier)
+    return regaining_of(
+        path,
+        lambda message, _now: out.take(lambda: show_gains(message)),
+        lambda kept: err.take(lambda: say_kept(kept)),
+        earlier,
+    )
 
 
 def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight", str]:
@@ -270,7 +296,7 @@ def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight
     for told in limits_of_earlier(asked.earlier, flight.card) if asked.earlier else ():
         click.echo(f"{log}: {told}", err=True)
     compiled_beforehand()
-    begun, show_state = time.monotonic(), _shown(asked.jsonl)
+    begun, show_state = time.monotonic(), _shown(asked)
     if asked.regaining:
         asked.regaining.listeners.append(views.gains)
     with operator_abort() as abort:
@@ -305,8 +331,8 @@ def _listened(
     patience: float,
     record: Path | None,
     memory: Path | None,
-) -> tuple["Track", "Flight | None", "RotorfitError | None"]:
-    """Tracks a link; the track, the remembered part of the flight, and the loss of the link or of a file, if any."""
+) -> tuple["Track", "Flight | None", str, "RotorfitError | None"]:
+    """Tracks a link; the track, the remembered part of the flight, who ended it, and what was lost, if anything."""
     from rotorfit.app.live.outlets import Recording, Remembering
     from rotorfit.app.live.session import card_for_link, track_link, with_recording
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
@@ -323,8 +349,8 @@ def _listened(
     chosen = card_for_link(link, asked.card)
 
     def say(text: str) -> None:
-        line_cleared()
-        click.echo(f"{link}: {text}", err=True)
+        asked.err.take(line_cleared)
+        asked.err.take(lambda: click.echo(f"{link}: {text}", err=True))
 
     for told in limits_of_earlier(asked.earlier, chosen) if asked.earlier else ():
         say(told)
@@ -356,6 +382,7 @@ def _listened(
             with shown_line(lambda: line_of(tracker.state())):
                 report = _reporting(asked, files, say)
                 result = track_link(tracker, listening, [views, *files], report, say, moving)
+            stopped = abort()
             if missed := changes_missed(link, listening.now):
                 say(missed)
             if record:
@@ -363,29 +390,30 @@ def _listened(
     trouble: RotorfitError | None = LinkError(f"{link}: {listening.ended}") if listening.lost else None
     if fault := next((file.fault for file in files if file.fault), ""):
         trouble = LogError(fault)
-    return result, tracker.flight(), trouble
+    return result, tracker.flight(), stopped, trouble
 
 
 def _reporting(
     asked: _Asked, files: "Sequence[Recording | Remembering]", say: "Callable[[str], None]"
 ) -> "Callable[[Tracked, int], None]":
-    """A function that shows each state of a link, tunes by it, and says once why a file does not grow any more."""
-    show_state, said = _shown(asked.jsonl), set[str]()
+    """A function that shows each state of a link, tunes by it, and says once what does not go on as it should."""
+    show_state, said = _shown(asked), set[str]()
 
     def report(state: "Tracked", now: int) -> None:
         """Takes a state and the link's clock [ns]."""
         show_state(state)
         if asked.regaining:
             asked.regaining.state(state, now)
-        for fault in {file.fault for file in files} - said - {""}:
+        unread = "nobody reads the output: it waits, and what is recorded goes on" if asked.out.stalled else ""
+        for fault in {unread, *(file.fault for file in files)} - said - {""}:
             said.add(fault)
             say(fault)
 
     return report
 
 
-def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
-    """A function that prints each state at once, as JSON or as what is new in it."""
+def _shown(asked: _Asked) -> "Callable[[Tracked], None]":
+    """A function that prints each state, as JSON or as what is new in it."""
     from rotorfit.app.live.outlets import lines_of
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import line_cleared
@@ -393,10 +421,10 @@ def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
 
     before: Tracked | None = None
 
-    def report(state: "Tracked") -> None:
-        """Prints a state, compared with the one before."""
+    def printed(state: "Tracked") -> None:
+        """Prints a state, compared with the one that was printed before."""
         nonlocal before
-        if jsonl:
+        if asked.jsonl:
             for line in lines_of(state):
                 click.echo(line)  # which flushes
         else:
@@ -404,7 +432,7 @@ def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
             show(news(before, state))
         before = state
 
-    return report
+    return lambda state: asked.out.take(lambda: printed(state), spare=not state.alarms)
 
 
 def _end(result: "Track", files: Sequence[Path | None], page: Path | None) -> dict[str, Any]:
@@ -419,7 +447,7 @@ def _end(result: "Track", files: Sequence[Path | None], page: Path | None) -> di
     }
 
 
-def _written(result: "Track", output: Path) -> list[Path | None]:
+def _written(result: "Track", output: Path, err: "Printer") -> list[Path | None]:
     """Writes the model of each regime, numbered if there are several; None for a regime without a model."""
     from rotorfit.files.models import save
 
@@ -428,6 +456,6 @@ def _written(result: "Track", output: Path) -> list[Path | None]:
     for number, regime in enumerate(result.regimes, 1):
         path = output.with_stem(f"{output.stem}-{number}") if several else output
         if regime.model:
-            say_kept(save(regime.model, path))
+            err.take(partial(say_kept, save(regime.model, path)))
         files.append(path if regime.model else None)
     return files

@@ -93,6 +93,8 @@ def track_link(
         closing.callback(tracker.close)  # the last comes first
         for heard in listening:
             now = heard.now
+            for outlet in outlets:  # first, so that whatever happens is recorded
+                outlet.heard(heard.samples, now)
             if heard.news:
                 news(heard.news)
             for sample in heard.samples:
@@ -105,8 +107,6 @@ def track_link(
                         mover(motion, sample.received)
             for state in tracker.news():
                 tell(state)
-            for outlet in outlets:
-                outlet.heard(heard.samples, now)
         news(f"{'lost' if listening.lost else 'ended'}: {listening.ended}; fitting the flight once more")
         last, regimes = tracker.finish()
         for state in (*tracker.news(), last):
