@@ -40,6 +40,25 @@ def test_only_a_reader_who_takes_nothing_has_stalled_and_is_left(monkeypatch: py
     assert out.close(patient=True)
 
 
+def test_what_must_be_told_comes_elsewhere_where_the_reader_is_gone() -> None:
+    lines, streams = list[str](), ["pipe"]
+
+    def write(text: str) -> None:
+        if streams[0] == "pipe":
+            raise BrokenPipeError(32, "Broken pipe")
+        lines.append(text)
+
+    out = Printer(beside=True, redirects=[lambda: streams.insert(0, "stderr")])
+    out.take(lambda: write("state"), spare=True)
+    out.take(lambda: write("alarm"))
+    out.take(lambda: write("state"), spare=True)
+
+    assert out.close(patient=True)
+    assert lines == ["alarm"]
+    assert out.fault == "Broken pipe"
+    assert not out.spared
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # it is what is wanted
 def test_a_bug_in_what_prints_is_not_waited_for() -> None:
     out = Printer(beside=True)

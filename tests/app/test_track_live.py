@@ -186,6 +186,25 @@ def test_a_reader_who_stalls_holds_up_neither_the_recording_nor_ctrl_c(tmp_path:
     assert (poses[-1] - poses[0]) / 1e9 > 25.0
 
 
+def test_a_reader_who_goes_away_ends_nothing_and_the_end_comes_on_stderr(tmp_path: Path) -> None:
+    record, model = tmp_path / "flight.mcap", tmp_path / "model.json"
+    words = ["track", "--link", "sim", "--for", "20", "--jsonl", "--record", str(record), "-o", str(model), *QUICK]
+    with subprocess.Popen(
+        [sys.executable, "-m", "rotorfit", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.stdout.close()
+        _, err = process.communicate(timeout=60)
+
+    assert process.returncode == 0, err
+    assert err.count("the output takes nothing any more (Broken pipe): alarms and the end come here") == 1
+    assert json.loads(err.splitlines()[-1])["models"] == [str(model)]
+    assert '"state"' not in err
+    poses = read(record).tables["/rotorfit/pose"].columns["log_time"]
+    assert (poses[-1] - poses[0]) / 1e9 > 19.0
+
+
 def _time_of(memory: Path) -> float:
     """Second of the flight up to which a tracker remembers."""
     with np.load(memory) as kept:

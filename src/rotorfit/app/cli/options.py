@@ -188,9 +188,16 @@ def print_json(result: Any) -> None:
     click.echo(json.dumps(result, indent=1, allow_nan=False))
 
 
-def silence() -> None:
-    """Redirects stdout to nowhere: after a pipe is closed, every further line and the last flush would fail."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def silence(stderr: bool = False) -> None:
+    """Redirects stdout or stderr to nowhere: after a pipe is closed, every further line and flush would fail."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if stderr else sys.stdout).fileno())
+
+
+def to_stderr() -> None:
+    """Redirects stdout to stderr, without what is still in its buffer."""
+    silence()
+    sys.stdout.flush()
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
 
 
 @contextmanager

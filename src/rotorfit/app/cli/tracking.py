@@ -21,7 +21,9 @@ from rotorfit.app.cli.options import (
     compiled_beforehand,
     file_at,
     say_kept,
+    silence,
     structure_of,
+    to_stderr,
 )
 
 if TYPE_CHECKING:
@@ -153,7 +155,10 @@ def track(
         record = _next_part(record) if memory and memory.exists() else record
         check_new(record)
     earlier = earlier_of(after) if after else None
-    out, err = Printer(beside=link is not None), Printer(beside=link is not None)
+    out, err = (
+        Printer(link is not None, [to_stderr, silence]),
+        Printer(link is not None, [lambda: silence(stderr=True)]),
+    )
     regaining = _regaining(gains, jsonl, earlier, out, err) if gains is not None else None
     asked = _Asked(card, structure, false_alarms, pace, jsonl, earlier, regaining, out, err)
     stopped, trouble = "", None
@@ -405,6 +410,8 @@ def _reporting(
         if asked.regaining:
             asked.regaining.state(state, now)
         unread = "nobody reads the output: it waits, and what is recorded goes on" if asked.out.stalled else ""
+        if asked.out.fault:
+            unread = f"the output takes nothing any more ({asked.out.fault}): alarms and the end come here"
         for fault in {unread, *(file.fault for file in files)} - said - {""}:
             said.add(fault)
             say(fault)

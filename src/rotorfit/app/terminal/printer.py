@@ -1,9 +1,12 @@
-"""Prints from a thread of its own, so that a reader who stalls (a paused terminal, a slow program) holds up nothing."""
+"""Prints from a thread of its own, so that a reader who stalls (a paused terminal, a slow program) holds up nothing.
+
+Nor does one who goes away: what must be told is then printed elsewhere.
+"""
 
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 MOST = 1000
 """Number of prints that wait for the reader; beyond, those that may be spared are left out."""
@@ -17,16 +20,18 @@ class Printer:
 
     Args:
         beside: Whether from a thread; otherwise at once.
+        redirects: Called in turn when the stream takes nothing any more; each lets it end elsewhere.
 
     Attributes:
-        spared: Number of prints that were left out.
+        spared: Number of prints that were left out because too many waited.
+        fault: Why the stream takes nothing any more; empty while it does.
     """
 
-    def __init__(self, beside: bool) -> None:
-        self.spared = 0
+    def __init__(self, beside: bool, redirects: Sequence[Callable[[], None]] = ()) -> None:
+        self.spared, self.fault = 0, ""
+        self._redirects = list(redirects)
         self._taken, self._done, self._moved = 0, 0, time.monotonic()
-        self._error: OSError | None = None
-        self._waiting: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[tuple[Callable[[], None], bool] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="rotorfit-printer", daemon=True) if beside else None
         if self._thread:
             self._thread.start()
@@ -36,13 +41,11 @@ class Printer:
 
         Args:
             work: Prints something.
-            spare: Whether it may be left out where too many wait.
+            spare: Whether it may be left out, where too many wait or the stream takes nothing any more.
 
         Raises:
-            OSError: The stream takes nothing any more.
+            OSError: Without a thread, the stream takes nothing any more.
         """
-        if self._error:
-            raise self._error
         if self._thread is None:
             work()
         elif spare and self._taken - self._done >= MOST:
@@ -50,7 +53,7 @@ class Printer:
         else:
             self._moved = time.monotonic() if self._taken == self._done else self._moved
             self._taken += 1
-            self._waiting.put(work)
+            self._waiting.put((work, spare))
 
     @property
     def stalled(self) -> bool:
@@ -67,7 +70,6 @@ class Printer:
             Whether all was printed. If not, the thread holds the stream, which Python's own end would wait for.
 
         Raises:
-            OSError: The stream takes nothing any more.
             RuntimeError: A print has failed.
         """
         self._waiting.put(None)
@@ -79,16 +81,25 @@ class Printer:
         except KeyboardInterrupt:
             return False
         if self._taken > self._done:
-            raise self._error or RuntimeError("the thread that prints has failed; its trace is above")
+            raise RuntimeError("the thread that prints has failed; its trace is above")
         return True
 
     def _run(self) -> None:
         """Body of the thread."""
-        while work := self._waiting.get():
-            try:
-                work()
-            except OSError as error:
-                self._error = error
-                return
+        while found := self._waiting.get():
+            self._print(*found)
             self._moved = time.monotonic()
             self._done += 1
+
+    def _print(self, work: Callable[[], None], spare: bool) -> None:
+        """Prints, and what may not be left out elsewhere if need be."""
+        if spare and self.fault:
+            return
+        try:
+            work()
+        except OSError as error:
+            if not self._redirects:
+                raise
+            self.fault = error.strerror or str(error)
+            self._redirects.pop(0)()
+            self._print(work, spare)
