@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -17,14 +18,18 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from streams import CARD, SECOND, flown
 
+from rotorfit import flight
 from rotorfit.app.cli import main
+from rotorfit.app.live.outlets import Recording
 from rotorfit.app.live.page_server import LivePage
 from rotorfit.app.workflows import training_flights
 from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
 from rotorfit.files.logs import read
 from rotorfit.files.models import load
 from rotorfit.flying.recorder import Recorder
+from rotorfit.tracking.growing_flight import GrowingFlight
 
 QUICK = ("--pace", "1000", "--structure", "first_order_delay")
 ALARM = Alarm(3.0, ("x",), "payload", (1.0, 2.0), {"x.input": (0.8, 0.9)}, 0.9, 1e-9, "because")
@@ -92,6 +97,25 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
     assert "goes on from" in again.stderr
     assert first["time"] > 12.0
     assert first["axes"]["yaw"]["input"] is not None
+
+
+def test_the_seconds_of_a_recording_are_those_of_its_tracker(tmp_path: Path) -> None:
+    """Although the vehicle was seen for a minute, and the link heard for a while without a pose, before a command."""
+    growing, recording = GrowingFlight(CARD), Recording(tmp_path / "flight.mcap", CARD, "sim")
+    ago = round(60.007 * SECOND)
+    idle = [replace(one, stamp=one.stamp - ago, received=one.received - ago) for one in flown()]
+    for sample in (*(one for one in idle if one.stream == "pose"), *flown()[:6000]):
+        recording.heard([sample], sample.received)
+        growing.add(sample)
+    recording.close()
+    live, log = growing.flight(), flight(tmp_path / "flight.mcap")
+
+    assert live is not None
+    place = np.searchsorted(live.command_time, log.command_time - 1e-6)
+    assert live.command_time[place] == pytest.approx(log.command_time, abs=1e-6)
+    np.testing.assert_allclose(live.command[place], log.command)
+    place = np.searchsorted(live.pose_time, log.pose_time[100:] - 1e-6)
+    np.testing.assert_allclose(live.position[place], log.position[100:])
 
 
 def test_a_recording_that_the_disk_ends_costs_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,8 +204,8 @@ def test_a_reader_who_stalls_holds_up_neither_the_recording_nor_ctrl_c(tmp_path:
     assert code == 0, err
     assert "nobody reads the output: it waits, and what is recorded goes on" in err
     assert "the last lines were not printed" in err
-    flight = training_flights(load(tmp_path / "model.json"))[0]
-    assert len(flight) == 1
+    fitted = training_flights(load(tmp_path / "model.json"))[0]
+    assert len(fitted) == 1
     poses = read(record).tables["/rotorfit/pose"].columns["log_time"]
     assert (poses[-1] - poses[0]) / 1e9 > 25.0
 

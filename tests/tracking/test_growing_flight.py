@@ -169,7 +169,9 @@ def test_commands_of_another_clock_are_timed_by_their_arrival() -> None:
     plain, _ = grown(flown())
 
     assert not alarms
-    assert np.abs(flight.command_time - plain.command_time[-flight.command_time.size :]).max() < 1e-6
+    heard = plain.command_time[-flight.command_time.size :]  # without those until the clock is seen to be another one
+    assert flight.command_time == pytest.approx(heard - heard[0], abs=1e-6)
+    assert plain.command_time[0] == 0.0
 
 
 def test_commands_that_were_not_heard_are_not_guessed() -> None:
@@ -209,14 +211,26 @@ def test_nothing_is_learnt_while_the_window_is_closed_from_the_start_or_in_fligh
     flight, _ = grown(
         [shut, *samples[:2000], open_, *samples[2000:6000], shut, *samples[6000:7000], open_, *samples[7000:]]
     )
-    times = [(samples[place].stamp - samples[0].stamp) / 1e9 for place in (2000, 6000, 7000)]
+    begin = next(one.stamp for one in samples[2000:] if one.stream == "command")  # second 0, as in a log
+    times = [(samples[place].stamp - begin) / 1e9 for place in (6000, 7000)]
 
     first, second = flight.segments
-    assert times[0] <= first.start + 0.02
-    assert first.start < times[0] + 1.0
-    assert first.end == pytest.approx(times[1], abs=0.05)
-    assert times[2] <= second.start + 0.02
-    assert second.start < times[2] + 1.0
+    assert 0.0 <= first.start < 1.0
+    assert first.end == pytest.approx(times[0], abs=0.05)
+    assert times[1] <= second.start + 0.02
+    assert second.start < times[1] + 1.0
+
+
+def test_second_0_is_the_first_command_however_long_the_vehicle_was_seen_before() -> None:
+    plain = [*flown()[:6000], *(replace(one, values=(0.1,) * 4) for one in flown()[:200] if one.stream == "command")]
+    idle = [replace(one, stamp=one.stamp - 60 * SECOND, received=one.received - 60 * SECOND) for one in plain]
+    seen = [one for one in idle if one.stream == "pose"]
+    flight, _ = grown([*seen, *plain])
+    usual, _ = grown(plain)
+
+    np.testing.assert_array_equal(flight.command_time, usual.command_time)
+    np.testing.assert_array_equal(flight.pose_time, usual.pose_time)
+    assert flight.span[0] == flight.command_time[0] == 0.0
 
 
 def test_it_goes_on_from_its_memory() -> None:

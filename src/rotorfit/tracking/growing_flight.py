@@ -4,6 +4,8 @@ A command acts until the next one, but no longer than the card's hold; a pose co
 differs from it. Other samples are left out and counted. Segments are the times in which commands and poses are known
 and the vehicle obeys. The last `KEPT` seconds are remembered.
 
+Second 0 is the first command that is obeyed, as where a log is read: what comes before tells nothing of the vehicle.
+
 Samples are timed by the sender's stamps. A sample whose stamp is implausible given its arrival is left out; after
 `STRANGE` of them in a row, over a second or more, the sender's clock is another one, and from then on its samples are
 timed by their arrival. Where no arrival is known, a sample far ahead of all others waits for the next one: if that
@@ -101,7 +103,7 @@ class GrowingFlight:
 
     Args:
         card: The vehicle's card: hold and axes of the commands.
-        origin: Stamp of second 0 [ns]; None for that of the first sample.
+        origin: Stamp of second 0 [ns]; None for that of the first command that is obeyed.
         path: File of the recording.
     """
 
@@ -151,13 +153,17 @@ class GrowingFlight:
             self._resumed = False
             if (stamp - self._origin) / 1e9 < self.now - HOLD:  # the clock has changed with the restart
                 self._origin = stamp - round((self.now + HOLD) * 1e9)
-        time = 0.0 if self._origin is None else (stamp - self._origin) / 1e9
+        if self._origin is None:
+            if sample.stream != "command" or not self._obeys or not _is_sound(sample):
+                return False
+            self._origin = stamp
+        time = (stamp - self._origin) / 1e9
         if sample.stream == "command" and not _is_sound(sample):
             return self._without_command(time)
         if not _is_sound(sample):
             return self._left_out("not_numbers")
-        if self._origin is None:
-            self._origin = stamp
+        if time < 0:  # measured before the first command
+            return False
         took = self._command(time, sample.values) if sample.stream == "command" else self._pose(time, sample.values)
         self._so_far.now = max(self.now, time)
         return took

@@ -69,7 +69,7 @@ class Tracker:
         card: Meaning of commands and poses: a card, the name of a built-in one, or a file.
         structure: Model structure, as `fit` takes it.
         false_alarms_per_hour: Promised bound on their expected number [1/h], above 0 and at most `MOST_FALSE_ALARMS`.
-        origin: Stamp of second 0 of the flight [ns]; by default that of the first sample.
+        origin: Stamp of second 0 of the flight [ns]; by default that of the first command that is obeyed.
         after: The model of an earlier flight of the vehicle, a fit, or a model file; it is reported until this flight
             tells as much, and compared with it.
         live: Make the looks in a process beside, so that `update` never waits; states come when they are ready, each

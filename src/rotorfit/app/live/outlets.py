@@ -73,8 +73,7 @@ class Recording:
         self._waiting += samples
         pose = next((one for one in self._waiting if one.stream == "pose"), None)
         if self._recorder is None:
-            if pose is None:
-                del self._waiting[:-1000]
+            if pose is None:  # the first command is second 0 of the flight, so that none is dropped
                 return
             import tomli_w
 
