@@ -187,7 +187,8 @@ def _steps(time: Array, stamps: Stamps, arrivals: Stamps, late: Array) -> tuple[
     At a step the stamps jump, the arrivals do not, and the difference persists.
     """
     sent, came = np.diff(stamps) / 1e9, np.diff(arrivals) / 1e9
-    jump, jolt = np.abs(sent - np.median(sent)), np.abs(came - np.median(came))
+    sent, came = sent - np.median(sent), came - np.median(came)
+    jump, jolt = np.abs(sent), np.abs(came)
     found: list[tuple[int, float]] = []
     for i in (np.flatnonzero((jump > LEAST_STEP) & (jolt < 0.5 * jump)) + 1).tolist():
         before = late[(time >= time[i - 1] - AROUND) & (np.arange(time.size) < i)]
