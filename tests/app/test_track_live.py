@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
@@ -24,12 +25,17 @@ from rotorfit import flight
 from rotorfit.app.cli import main
 from rotorfit.app.live.outlets import Recording
 from rotorfit.app.live.page_server import LivePage
+from rotorfit.app.live.session import track_link
 from rotorfit.app.workflows import training_flights
+from rotorfit.core.errors import LinkOverError
+from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
 from rotorfit.files.logs import read
 from rotorfit.files.models import load
+from rotorfit.flying.listening import Listening
 from rotorfit.flying.recorder import Recorder
 from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.tracker import Tracker
 
 QUICK = ("--pace", "1000", "--structure", "first_order_delay")
 ALARM = Alarm(3.0, ("x",), "payload", (1.0, 2.0), {"x.input": (0.8, 0.9)}, 0.9, 1e-9, "because")
@@ -116,6 +122,34 @@ def test_the_seconds_of_a_recording_are_those_of_its_tracker(tmp_path: Path) -> 
     np.testing.assert_allclose(live.command[place], log.command)
     place = np.searchsorted(live.pose_time, log.pose_time[100:] - 1e-6)
     np.testing.assert_allclose(live.position[place], log.position[100:])
+
+
+class Played:
+    """A link that plays samples."""
+
+    live = False
+
+    def __init__(self, samples: Sequence[Sample]) -> None:
+        self.samples, self.now = list(samples), samples[0].received
+
+    def receive(self, until: int) -> list[Sample]:
+        if not self.samples:
+            raise LinkOverError("played")
+        self.now, count = until, sum(one.received <= until for one in self.samples)
+        taken, self.samples = self.samples[:count], self.samples[count:]
+        return taken
+
+
+def test_a_step_of_the_poses_clock_is_said_and_recorded(tmp_path: Path) -> None:
+    at, said = flown()[2000].stamp, list[str]()
+    stepped = [replace(one, stamp=one.stamp + 40_000_000 * (one.stamp > at)) for one in flown()[:3000]]
+    link = Played([now if now.stream == "pose" else was for now, was in zip(stepped, flown(), strict=False)])
+    recording = Recording(tmp_path / "flight.mcap", CARD, "sim")
+    listening = Listening(lambda: link, 60.0, pace=1e6)  # type: ignore[arg-type,return-value]
+    track_link(Tracker(CARD, "first_order_delay"), listening, [recording], lambda _state, _now: None, said.append)
+
+    assert sum("the clock of the poses was set on by 40 ms" in text for text in said) == 1
+    assert [event.text for event in read(tmp_path / "flight.mcap").events] == [said[0]]
 
 
 def test_a_recording_that_the_disk_ends_costs_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -174,6 +174,30 @@ def test_commands_of_another_clock_are_timed_by_their_arrival() -> None:
     assert plain.command_time[0] == 0.0
 
 
+def test_a_step_of_the_poses_clock_is_removed_and_told_also_over_a_restart() -> None:
+    at = flown()[0].stamp + 20 * SECOND
+    back = [
+        replace(one, stamp=one.stamp - 60_000_000) if one.stream == "pose" and one.stamp > at else one
+        for one in flown()
+    ]
+    growing, again = GrowingFlight(CARD), GrowingFlight(CARD)
+    for one in back[:6000]:
+        growing.add(one)
+    (told,) = growing.remarks()
+    again.recall(growing.memory())
+    for one in back[6000:]:
+        again.add(one)
+    flight, (usual, _) = again.flight(), grown(flown())
+
+    assert "the clock of the poses was set back by 60 ms" in told
+    assert not growing.remarks()
+    assert flight is not None
+    assert counts(flight)["pose_clock_steps"] == 1
+    assert not again.alarms()
+    np.testing.assert_allclose(flight.pose_time, usual.pose_time, atol=0.002)
+    np.testing.assert_array_equal(flight.position, usual.position)
+
+
 def test_commands_that_were_not_heard_are_not_guessed() -> None:
     """The card says that a command holds for half a second; who sends 50 a second has not held one for 0.3 s."""
     begin = flown()[0].received

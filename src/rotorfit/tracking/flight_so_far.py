@@ -23,15 +23,17 @@ sender is silent for `MISSED` medians, commands were lost, and the command in fo
 SHORTEST = 0.05
 """Segments that are not longer are dropped [s]."""
 
-LEFT_OUT = {
+NOTES = {
     "late_commands": "commands were no newer than the last: left out",
     "late_poses": "poses were no newer than the last: left out",
     "stale_poses": "poses repeat the one before with a fresh stamp: left out",
     "wild_poses": "poses lie where no vehicle can be a moment later, and the next do not: left out",
     "strange_stamps": "stamps cannot be true beside the arrival of the sample, or the stamps around it: left out",
     "not_numbers": "samples are no numbers: left out",
+    "pose_clock_steps": "steps of the poses' clock, by their arrivals: removed from the stamps",
+    "command_clock_steps": "steps of the commands' clock, by their arrivals: removed from the stamps",
 }
-"""Code of a note on samples that were left out, and its text."""
+"""Code of a note on samples that were left out or moved, and its text."""
 
 
 class Rows:
@@ -108,7 +110,7 @@ class News:
         now: Time of the newest sample [s].
         standing: All intervals in which nothing is learnt [s].
         jumps: All times at which the pose jumped [s].
-        counts: Code of `LEFT_OUT` to the number of samples.
+        counts: Code of `NOTES` to the number of samples or steps.
     """
 
     commands: Array
@@ -133,7 +135,7 @@ class FlightSoFar:
         now: Time of the newest sample [s].
         standing: Intervals in which nothing is learnt [s].
         jumps: Times at which the pose jumped as no vehicle can [s].
-        counts: Code of `LEFT_OUT` to the number of samples.
+        counts: Code of `NOTES` to the number of samples or steps.
     """
 
     def __init__(self, card: Card, path: str = UNRECORDED) -> None:
@@ -172,7 +174,7 @@ class FlightSoFar:
             position=self.poses.values,
             yaw=self.poses.last,
             segments=segments,
-            notes=tuple(Note(code, LEFT_OUT[code], count) for code, count in self.counts.items()),
+            notes=tuple(Note(code, NOTES[code], count) for code, count in self.counts.items()),
         )
 
     def news(self) -> News:

@@ -6,10 +6,8 @@ and the vehicle obeys. The last `KEPT` seconds are remembered.
 
 Second 0 is the first command that is obeyed, as where a log is read: what comes before tells nothing of the vehicle.
 
-Samples are timed by the sender's stamps. A sample whose stamp is implausible given its arrival is left out; after
-`STRANGE` of them in a row, over a second or more, the sender's clock is another one, and from then on its samples are
-timed by their arrival. Where no arrival is known, a sample far ahead of all others waits for the next one: if that
-is no earlier, time has gone on; else it is left out.
+Samples are timed by their `sender_clock`. Where no arrival is known, a sample far ahead of all others waits for the
+next one: if that is no earlier, time has gone on; else it is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,19 +23,13 @@ from rotorfit.core.tracked import Alarm
 from rotorfit.tracking.flight_so_far import HOLD, UNRECORDED, FlightSoFar, News, Rows
 from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.pose_watch import FROZEN, PoseWatch
+from rotorfit.tracking.sender_clock import SenderClock
 
 KEPT = 900.0
 """Time that is remembered [s]."""
 
 REMEMBERED = 300.0
 """How much of that `memory` returns [s]: as much as an estimate looks back over."""
-
-ONE_CLOCK = (-0.05, 2.0)
-"""Plausible times from stamp to arrival if sender and receiver share a clock [s]. A radio may hold a sample back."""
-
-STRANGE, LASTING = 10, 1.0
-"""Number of implausible stamps in a row after which the arrivals count, and how long they must have arrived [s]: what a
-stalled link delivers at once is late, and its clock is right."""
 
 AHEAD = 2.0
 """Time that a stamp lies ahead of all before it from which on the next one must confirm it [s]."""
@@ -47,27 +39,6 @@ LARGEST = 1e9
 
 _TIMED = ("pose", "command")
 """Streams with a clock."""
-
-
-class _Clock:
-    """Assigns times to the samples of one sender."""
-
-    def __init__(self) -> None:
-        self.by_arrival, self.strange, self._since = False, 0, 0
-
-    def stamp(self, sample: Sample) -> int | None:
-        """When a sample was measured or sent [ns]; None if its stamp is implausible."""
-        if sample.received <= 0:  # the time of arrival is unknown
-            return sample.stamp
-        if self.by_arrival:
-            return sample.received
-        if ONE_CLOCK[0] <= (sample.received - sample.stamp) / 1e9 <= ONE_CLOCK[1]:
-            self.strange = 0
-            return sample.stamp
-        self._since = self._since if self.strange else sample.received
-        self.strange += 1
-        self.by_arrival = self.strange >= STRANGE and sample.received - self._since >= 1e9 * LASTING
-        return sample.received if self.by_arrival else None
 
 
 class _InLine:
@@ -109,7 +80,8 @@ class GrowingFlight:
 
     def __init__(self, card: Card, origin: int | None = None, path: str = UNRECORDED) -> None:
         self._origin, self._so_far = origin, FlightSoFar(card, path)
-        self._clocks = {"pose": _Clock(), "command": _Clock()}
+        self._clocks = {name: SenderClock() for name in _TIMED}
+        self._remarks: list[str] = []
         self._line, self._watch, self._ground = _InLine(), PoseWatch(), Ground()
         self._alarms: list[Alarm] = []
         self._obeys, self._newest, self._resumed = True, -np.inf, False
@@ -141,12 +113,27 @@ class GrowingFlight:
         found, wild = self._line.take(sample)
         if wild:
             self._left_out("strange_stamps")
-        took = [self._timed(one) for one in found]
+        clock = self._clocks[sample.stream]
+        took = [self._timed(*timed) for one in found for timed in clock.take(one)]
+        while clock.steps:
+            self._stepped(sample.stream, clock.steps.pop(0))
         return any(took)
 
-    def _timed(self, sample: Sample) -> bool:
-        """Takes a pose or command whose turn it is."""
-        stamp = self._clocks[sample.stream].stamp(sample)
+    def _stepped(self, stream: str, size: float) -> None:
+        """Tells that the clock of a sender was set on by `size` [s]."""
+        self._so_far.counts[f"{stream}_clock_steps"] += 1
+        self._remarks.append(
+            f"{self.now:.1f} s: the clock of the {stream}s was set {'on' if size > 0 else 'back'} by "
+            f"{1e3 * abs(size):.0f} ms a moment ago, by their arrivals; their stamps since then are moved by as much"
+        )
+
+    def remarks(self) -> list[str]:
+        """What was done about the stream since the last call and should be told, one line each."""
+        found, self._remarks = self._remarks, []
+        return found
+
+    def _timed(self, stamp: int | None, sample: Sample) -> bool:
+        """Takes a pose or command whose turn it is, with its time [ns]."""
         if stamp is None:
             return self._left_out("strange_stamps")
         if self._resumed and self._origin is not None:
@@ -250,13 +237,14 @@ class GrowingFlight:
         """The last `REMEMBERED` seconds and all that `recall` needs, as arrays for a file; empty at first."""
         if self._origin is None:
             return {}
-        clocks = [self._clocks[name].by_arrival for name in _TIMED]
+        clocks = [self._clocks[name] for name in _TIMED]
         return {
             "origin": np.array(self._origin),
             "now": np.array(self.now),
             **_packed("commands", self._commands, self.now - REMEMBERED),
             **_packed("poses", self._poses, self.now - REMEMBERED),
-            "by_arrival": np.array(clocks),
+            "by_arrival": np.array([clock.by_arrival for clock in clocks]),
+            "shift": np.array([clock.shift for clock in clocks]),
             "obeys": np.array(self._obeys),
             "jumps": np.array(self._watch.jumps),
             "standing": np.array(self._ground.intervals()).reshape(-1, 2),
@@ -275,8 +263,8 @@ class GrowingFlight:
         for rows, name in ((self._commands, "commands"), (self._poses, "poses")):
             for t, row in zip(memory[f"{name}_time"].tolist(), memory[name].tolist(), strict=True):
                 rows.append(t, row[:-1], row[-1])
-        for name, by_arrival in zip(_TIMED, memory["by_arrival"].tolist(), strict=True):
-            self._clocks[name].by_arrival = by_arrival
+        clocks = zip(_TIMED, memory["by_arrival"].tolist(), memory["shift"].tolist(), strict=True)
+        self._clocks = {name: SenderClock(by_arrival, shift) for name, by_arrival, shift in clocks}
         self._obeys = bool(memory["obeys"])
         self._watch = PoseWatch(memory["jumps"].tolist())
         self._ground.recall(memory["standing"].tolist(), float(memory["ground"]), self._obeys)

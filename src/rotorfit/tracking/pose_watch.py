@@ -52,7 +52,7 @@ class Seen:
 
     Attributes:
         believed: Poses that now count, with their times [s]: none, this one, or this one and those that waited.
-        left_out: Code of `LEFT_OUT` if the pose does not count; else empty.
+        left_out: Code of `NOTES` if the pose does not count; else empty.
         alarm: The alarm that it raises, if any.
     """
 

@@ -186,6 +186,10 @@ class Tracker:
         self._take_in()
         return [self._unread.popleft() for _ in range(len(self._unread))]
 
+    def remarks(self) -> list[str]:
+        """What was done about the samples since the last call and should be told, one line each: steps of clocks."""
+        return self._growing.remarks()
+
     def flight(self) -> Flight | None:
         """The flight so far, as far as it is remembered; None before it has a segment with commands and poses."""
         return self._growing.flight()

@@ -99,7 +99,7 @@ def main() -> None:
             before = raised.get(one.raised) if one.revises is not None else None
             raised[one.raised] = f"{one.time:.2f} s  {one.title}: {one.why}"
             alarms.append((raised[one.raised], before))
-        told = {"time": state.time, "words": state.words, "alarms": alarms, "gains": list(gains)}
+        told = {"time": state.time, "words": state.words, "alarms": alarms, "gains": [*gains, *tracker.remarks()]}
         gains.clear()
         print(json.dumps({**told, "summary": summary}), file=answers, flush=True)
 

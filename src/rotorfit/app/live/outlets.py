@@ -20,7 +20,7 @@ from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Motion, Tracked
 from rotorfit.core.writing import write_whole
 from rotorfit.flying.recorder import Recorder, card_as_recorded, record
-from rotorfit.tracking.growing_flight import ONE_CLOCK
+from rotorfit.tracking.sender_clock import ONE_CLOCK
 from rotorfit.tracking.tracker import Tracker
 
 TRACKED, ALARM, GAINS = "/rotorfit/tracked", "/rotorfit/alarm", "/rotorfit/gains"

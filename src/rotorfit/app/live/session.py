@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError
+from rotorfit.core.log import Sample
 from rotorfit.core.model import Model
 from rotorfit.core.tracked import Track, Tracked
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
@@ -105,6 +106,10 @@ def track_link(
                     moved = motion.time
                     for mover in moving:
                         mover(motion, sample.received)
+            for text in tracker.remarks():
+                news(text)
+                for outlet in outlets:
+                    outlet.heard([Sample("said", now, now, (), text)], now)
             for state in tracker.news():
                 tell(state)
         news(f"{'lost' if listening.lost else 'ended'}: {listening.ended}; fitting the flight once more")
