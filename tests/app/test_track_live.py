@@ -29,6 +29,7 @@ from rotorfit.app.live.session import track_link
 from rotorfit.app.workflows import training_flights
 from rotorfit.core.errors import LinkOverError
 from rotorfit.core.log import Sample
+from rotorfit.core.model import Model
 from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
 from rotorfit.files.logs import read
 from rotorfit.files.models import load
@@ -178,6 +179,25 @@ def test_the_page_of_a_link_has_every_second_of_its_flight(tmp_path: Path) -> No
     assert result.exit_code == 0, result.output
     assert "fitting the flight once more" in result.stderr
     assert re.search(r"From [6-8] s on", page.read_text(encoding="utf-8"))
+
+
+def test_a_result_that_cannot_be_written_costs_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_model: Model, _path: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("rotorfit.files.models.save", full)
+    model, page = tmp_path / "model.json", tmp_path / "track.html"
+    words = ("--link", "sim", "--for", "12", "-o", str(model), "--report", str(page), *QUICK)
+    table, lines = run(*words), run(*words, "--jsonl")
+
+    for result in (table, lines):
+        assert result.exit_code == 1
+        assert f"Error: {model}: No space left on device; check its folder" in result.stderr
+    assert "steady gain" in table.stdout
+    assert "Report written to" in table.stdout
+    assert "No model" not in table.stdout
+    end = json.loads(lines.stdout.splitlines()[-1])
+    assert (end["type"], end["models"], end["report"]) == ("end", [], str(page))
 
 
 def test_what_is_remembered_is_of_one_vehicle_and_of_one_tracker(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from rotorfit.app.cli.handover import export, tune
 from rotorfit.app.cli.interruption import safe_interrupts
 from rotorfit.app.cli.logs import cards, demo, formats, info, studio
 from rotorfit.app.cli.models import convert, fit, ladder
+from rotorfit.app.cli.options import LONGEST_LINE
 from rotorfit.app.cli.scoring import compare, report, validate
 from rotorfit.app.cli.tracking import track
 from rotorfit.core.call_stack import with_room
@@ -31,9 +32,6 @@ VERBS = (
 
 BLAS_THREADS = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
 """Environment variables that set the number of threads of numpy's linear algebra."""
-
-LONGEST_LINE = 2000
-"""Largest length of an error message, which may quote values of a file [characters]."""
 
 
 class _Verbs(click.Group):

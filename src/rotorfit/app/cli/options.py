@@ -17,6 +17,9 @@ from rotorfit.core.progress import Progress
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+LONGEST_LINE = 2000
+"""Largest length of an error message, which may quote values of a file [characters]."""
+
 
 def span_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
     """`T0:T1` as a Span; the whole log if none is given."""

@@ -14,6 +14,7 @@ import click
 
 from rotorfit.app.cli.options import (
     AFTER,
+    LONGEST_LINE,
     PORT,
     TUNE,
     Number,
@@ -25,6 +26,7 @@ from rotorfit.app.cli.options import (
     structure_of,
     to_stderr,
 )
+from rotorfit.core.plain import line_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -169,10 +171,11 @@ def track(
             result, flight, stopped = _replayed(str(log), asked, views)
         options = {"--card": card, "--structure": None if structure == AVERAGED else structure, "--after": after}
         again = [str(log or record), *(word for pair in options.items() if pair[1] for word in map(str, pair))]
-        _told(result, flight, asked, output, report, again)
+        written = _told(result, flight, asked, output, report, again)
     if trouble:
-        err.take(lambda: click.echo(f"Error: {trouble}", err=True))
-    _left(out, err, bool(stopped), 1 if trouble or (stopped and log) else 0)  # a log was not read to its end
+        _say_error(str(trouble), err)
+    # a log that was stopped was not read to its end
+    _left(out, err, bool(stopped), 1 if trouble or not written or (stopped and log) else 0)
 
 
 def _left(out: "Printer", err: "Printer", at_once: bool, code: int) -> None:
@@ -225,8 +228,8 @@ def _told(
     output: Path | None,
     report: Path | None,
     again: Sequence[str],
-) -> None:
-    """Writes models and report, and prints the end.
+) -> bool:
+    """Writes models and report, and prints the end whether or not they could be written.
 
     Args:
         result: The track.
@@ -235,29 +238,57 @@ def _told(
         output: Where the models go.
         report: Where the page goes.
         again: Log and options that track the same flight.
+
+    Returns:
+        Whether all was written; if not, stderr says what was not, and why.
     """
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.tracking import track_view
 
     files = _written(result, output, asked.err) if output else [None] * len(result.regimes)
+    page = None
     if report and flight:
         from rotorfit.reporting import write_timeline
 
-        kept = write_timeline(result, flight, report, files, again)
-        asked.err.take(lambda: say_kept(kept))
+        made = _tried(partial(write_timeline, result, flight, report, files, again), report, asked.err)
+        page = report if made else None
+    known = sum(regime.model is not None for regime in result.regimes) if output else 0
+    complete = sum(file is not None for file in files) == known and page == (report if flight else None)
     if asked.jsonl:
-        line = json.dumps(_end(result, files, report if flight else None), allow_nan=False)
+        line = json.dumps(_end(result, files, page), allow_nan=False)
         asked.out.take(lambda: click.echo(line))
-        return
+        return complete
     asked.out.take(lambda: show(track_view(result)))
     written = [f"Model written to {file}." for file in files if file]
-    if output and not written:
+    if output and not known:
         written.append("No model written: nothing was identified.")
     if asked.regaining:
         written.append(asked.regaining.summary)
-    if report and flight:
-        written.append(f"Report written to {report}.")
+    if page:
+        written.append(f"Report written to {page}.")
     asked.out.take(lambda: click.echo("".join(f"{line}\n" for line in written), nl=False))
+    return complete
+
+
+def _tried(write: "Callable[[], Path | None]", path: Path, err: "Printer") -> bool:
+    """Writes a file, and says where the earlier one is kept, or why it could not be written; whether it was."""
+    from rotorfit.core.errors import RotorfitError
+
+    try:
+        kept = write()
+    except RotorfitError as error:
+        _say_error(str(error), err)
+    except OSError as error:
+        _say_error(f"{path}: {error.strerror or error}; check its folder and the room on the disk", err)
+    else:
+        err.take(lambda: say_kept(kept))
+        return True
+    return False
+
+
+def _say_error(text: str, err: "Printer") -> None:
+    """Says on stderr what went wrong, as where it ends a command."""
+    err.take(lambda: click.echo(f"Error: {line_of(text, LONGEST_LINE)}", err=True))
 
 
 def _regaining(path: str, jsonl: bool, earlier: "Earlier | None", out: "Printer", err: "Printer") -> "Regaining":
@@ -341,7 +372,7 @@ def _listened(
     from rotorfit.app.live.outlets import Recording, Remembering
     from rotorfit.app.live.session import card_for_link, track_link, with_recording
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
-    from rotorfit.app.terminal.tracking import line_of
+    from rotorfit.app.terminal.tracking import line_of as state_line_of
     from rotorfit.core.errors import LinkError, LogError
     from rotorfit.flying.links.opening import open_listener
     from rotorfit.flying.links.sim import changes_missed
@@ -384,7 +415,7 @@ def _listened(
             if asked.regaining:
                 asked.regaining.listeners += [outlet.gains for outlet in (views, *files)]
             moving = [*views.moving, *([recording.motion] if recording else [])]
-            with shown_line(lambda: line_of(tracker.state())):
+            with shown_line(lambda: state_line_of(tracker.state())):
                 report = _reporting(asked, files, say)
                 result = track_link(tracker, listening, [views, *files], report, say, moving)
             stopped = abort()
@@ -455,14 +486,13 @@ def _end(result: "Track", files: Sequence[Path | None], page: Path | None) -> di
 
 
 def _written(result: "Track", output: Path, err: "Printer") -> list[Path | None]:
-    """Writes the model of each regime, numbered if there are several; None for a regime without a model."""
+    """Writes the model of each regime, numbered if there are several; None for one without a model, or not written."""
     from rotorfit.files.models import save
 
     several = len(result.regimes) > 1
     files: list[Path | None] = []
     for number, regime in enumerate(result.regimes, 1):
         path = output.with_stem(f"{output.stem}-{number}") if several else output
-        if regime.model:
-            err.take(partial(say_kept, save(regime.model, path)))
-        files.append(path if regime.model else None)
+        made = regime.model is not None and _tried(partial(save, regime.model, path), path, err)
+        files.append(path if made else None)
     return files
