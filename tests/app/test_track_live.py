@@ -299,12 +299,19 @@ def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:
             last = json.loads(process.stdout.readline())["time"]
         time.sleep(0.3)
         os.kill(process.pid, signal.SIGKILL)
-    again = run(*kept, "--for", "3", *QUICK)
+    model = tmp_path / "model.json"
+    again = run(*kept, "--for", "3", "-o", str(model), *QUICK)
     first = json.loads(again.stdout.splitlines()[0])["time"]
 
     assert first >= last - 1.0  # the flight that is remembered may be ahead of the last look that was told
     assert "flight.mcap is kept; the recording goes on in" in again.stderr
-    assert all(read(tmp_path / name).tables for name in ("flight.mcap", "flight-2.mcap"))
+    files = {str(tmp_path / name): flight(tmp_path / name) for name in ("flight.mcap", "flight-2.mcap")}
+    named = load(model).flights
+    assert {source.path for source in named} == files.keys()
+    for source in named:
+        whole = files[source.path]
+        assert source.sha256 == whole.sha256
+        assert whole.span[0] <= source.span[0] < source.span[1] <= whole.span[1] + 0.1
 
 
 def test_the_page_shows_all_that_is_told_to_who_has_the_key_alone() -> None:

@@ -11,6 +11,7 @@ next one: if that is no earlier, time has gone on; else it is left out.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,21 @@ class _InLine:
         return (), waited is not None
 
 
+@dataclass(frozen=True)
+class Part:
+    """The part of a flight that one recording holds.
+
+    Attributes:
+        path: File of the recording, or `UNRECORDED`.
+        begin: Second of the flight that is its own second 0 [s].
+        end: Second of the flight up to which it was tracked from [s].
+    """
+
+    path: str
+    begin: float
+    end: float
+
+
 class GrowingFlight:
     """The flight so far, fed sample by sample.
 
@@ -80,6 +96,8 @@ class GrowingFlight:
 
     def __init__(self, card: Card, origin: int | None = None, path: str = UNRECORDED) -> None:
         self._origin, self._so_far = origin, FlightSoFar(card, path)
+        self._path, self._begun = path, np.inf  # when the first command came since the start or the restart
+        self._earlier: list[Part] = []
         self._clocks = {name: SenderClock() for name in _TIMED}
         self._remarks: list[str] = []
         self._line, self._watch, self._ground = _InLine(), PoseWatch(), Ground()
@@ -155,6 +173,11 @@ class GrowingFlight:
         self._so_far.now = max(self.now, time)
         return took
 
+    @property
+    def parts(self) -> list[Part]:
+        """The recordings of the flight, one for each start of the tracker that heard a command."""
+        return [*self._earlier, *([Part(self._path, self._begun, self.now)] if self._begun < np.inf else [])]
+
     def alarms(self) -> tuple[Alarm, ...]:
         """The alarms of the pose since the last call: that it froze, or jumped."""
         found, self._alarms = tuple(self._alarms), []
@@ -170,6 +193,7 @@ class GrowingFlight:
     def _command(self, time: float, values: Sequence[float]) -> bool:
         if self._commands.time.size and time <= self._commands.time[-1]:
             return self._left_out("late_commands")
+        self._begun = min(self._begun, time)
         self._commands.append(time, values, np.inf)
         self._commands.forget(time - KEPT)
         self._ground.command(time, values)
@@ -249,6 +273,8 @@ class GrowingFlight:
             "jumps": np.array(self._watch.jumps),
             "standing": np.array(self._ground.intervals()).reshape(-1, 2),
             "ground": np.array(self._ground.level),
+            "paths": np.array([part.path for part in self.parts], dtype=str),
+            "recorded": np.array([(part.begin, part.end) for part in self.parts]).reshape(-1, 2),
             "codes": np.array(list(self._so_far.counts), dtype=str),
             "counts": np.array(list(self._so_far.counts.values()), dtype=np.int64),
         }
@@ -259,6 +285,8 @@ class GrowingFlight:
             return
         self._origin, self._so_far.now = int(memory["origin"]), float(memory["now"])
         self._newest = float(np.max(memory["poses_time"], initial=-np.inf))
+        parts = zip(memory["paths"].tolist(), memory["recorded"].tolist(), strict=True)
+        self._earlier = [Part(path, begin, end) for path, (begin, end) in parts]
         self._resumed = True
         for rows, name in ((self._commands, "commands"), (self._poses, "poses")):
             for t, row in zip(memory[f"{name}_time"].tolist(), memory[name].tolist(), strict=True):

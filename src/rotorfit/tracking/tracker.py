@@ -30,7 +30,7 @@ from rotorfit.files.cards import load_card
 from rotorfit.tracking.earlier import Earlier, check_earlier, earlier_of, until_known
 from rotorfit.tracking.flight_so_far import UNRECORDED
 from rotorfit.tracking.following import FALSE_ALARMS_PER_HOUR, GLANCE, Following, next_look
-from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.growing_flight import GrowingFlight, Part
 from rotorfit.tracking.looks import End, Looks, LooksHere
 from rotorfit.tracking.looks_beside import LooksBeside
 from rotorfit.tracking.motion_stream import MotionStream
@@ -185,6 +185,11 @@ class Tracker:
         """
         self._take_in()
         return [self._unread.popleft() for _ in range(len(self._unread))]
+
+    @property
+    def parts(self) -> list[Part]:
+        """The recordings of the flight: several where it was resumed."""
+        return self._growing.parts
 
     def remarks(self) -> list[str]:
         """What was done about the samples since the last call and should be told, one line each: steps of clocks."""

@@ -370,7 +370,7 @@ def _listened(
 ) -> tuple["Track", "Flight | None", str, "RotorfitError | None"]:
     """Tracks a link; the track, the remembered part of the flight, who ended it, and what was lost, if anything."""
     from rotorfit.app.live.outlets import Recording, Remembering
-    from rotorfit.app.live.session import card_for_link, track_link, with_recording
+    from rotorfit.app.live.session import card_for_link, track_link, with_recordings
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
     from rotorfit.app.terminal.tracking import line_of as state_line_of
     from rotorfit.core.errors import LinkError, LogError
@@ -421,8 +421,7 @@ def _listened(
             stopped = abort()
             if missed := changes_missed(link, listening.now):
                 say(missed)
-            if record:
-                result = with_recording(result, record)
+            result = with_recordings(result, tracker.parts)
     trouble: RotorfitError | None = LinkError(f"{link}: {listening.ended}") if listening.lost else None
     if fault := next((file.fault for file in files if file.fault), ""):
         trouble = LogError(fault)

@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError
 from rotorfit.core.log import Sample
-from rotorfit.core.model import Model
+from rotorfit.core.model import Model, Source
 from rotorfit.core.tracked import Track, Tracked
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.flying.links.opening import check_listens, split
 from rotorfit.flying.listening import Listening
+from rotorfit.tracking.growing_flight import Part
 from rotorfit.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -119,15 +120,28 @@ def track_link(
     return Track(tuple(states), regimes)
 
 
-def with_recording(track: Track, path: Path) -> Track:
-    """The track with models that know their recording: to a report it is the flight that they were fitted to."""
-    if not path.is_file():  # no pose was heard
-        return track
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
+def with_recordings(track: Track, parts: Sequence[Part]) -> Track:
+    """The track with models that know their recordings: to a report these are the flights that they were fitted to.
+
+    Args:
+        track: Its models name spans of the whole flight.
+        parts: The recordings of the flight; in each, seconds count from its own first command.
+    """
+    digests: dict[str, str] = {}
+    for path in {part.path for part in parts}:
+        if Path(path).is_file():  # else it was not recorded, or no pose was heard
+            with Path(path).open("rb") as file:
+                digests[path] = hashlib.file_digest(file, "sha256").hexdigest()
+
+    def recorded(source: Source) -> Iterator[Source]:
+        for part in parts:
+            start, end = max(source.span[0], part.begin), min(source.span[1], part.end)
+            if start < end:
+                span = start - part.begin, end - part.begin
+                yield replace(source, path=part.path, sha256=digests.get(part.path, ""), span=span)
 
     def known(model: Model) -> Model:
-        return replace(model, flights=tuple(replace(flight, sha256=digest) for flight in model.flights))
+        return replace(model, flights=tuple(part for source in model.flights for part in recorded(source)))
 
     regimes = (replace(one, model=known(one.model)) if one.model else one for one in track.regimes)
     return replace(track, regimes=tuple(regimes))
