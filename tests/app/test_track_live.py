@@ -31,6 +31,7 @@ from rotorfit.core.errors import LinkOverError
 from rotorfit.core.log import Sample
 from rotorfit.core.model import Model
 from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
+from rotorfit.diagnosis.card_choice import card_of
 from rotorfit.files.logs import read
 from rotorfit.files.models import load
 from rotorfit.flying.listening import Listening
@@ -123,6 +124,28 @@ def test_the_seconds_of_a_recording_are_those_of_its_tracker(tmp_path: Path) -> 
     np.testing.assert_allclose(live.command[place], log.command)
     place = np.searchsorted(live.pose_time, log.pose_time[100:] - 1e-6)
     np.testing.assert_allclose(live.position[place], log.position[100:])
+
+
+@pytest.mark.parametrize(
+    ("late", "seconds", "clock"), [(1, 8.0, "header.stamp"), (5000, 8.0, "log_time"), (0, 0.5, "header.stamp")]
+)
+def test_the_clock_of_a_recording_is_that_of_its_tracker(late: int, seconds: float, clock: str, tmp_path: Path) -> None:
+    """However late the first pose; another clock is another one from the start; a short one is written, too."""
+    path = tmp_path / "flight.mcap"
+    recording = Recording(path, CARD, "sim")
+    begin, count = flown()[0].received, 0
+    for one in flown():
+        if one.received - begin < seconds * SECOND:
+            count += one.stream == "pose"
+            moved = one.stamp - 3 * SECOND * (count <= late)
+            sent = replace(one, stamp=moved, received=one.received + SECOND // 100)
+            recording.heard([sent if one.stream == "pose" else one], one.received)
+    assert path.exists() == (seconds > 1)
+    recording.close()
+
+    time = card_of(read(path)).pose_time.source
+    assert time == f"/rotorfit/pose:{clock}"
+    assert len(read(path).tables["/rotorfit/pose"].columns["log_time"]) == count
 
 
 class Played:

@@ -20,7 +20,7 @@ from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Motion, Tracked
 from rotorfit.core.writing import write_whole
 from rotorfit.flying.recorder import Recorder, card_as_recorded, record
-from rotorfit.tracking.sender_clock import ONE_CLOCK
+from rotorfit.tracking.sender_clock import LASTING, ONE_CLOCK, STRANGE
 from rotorfit.tracking.tracker import Tracker
 
 TRACKED, ALARM, GAINS = "/rotorfit/tracked", "/rotorfit/alarm", "/rotorfit/gains"
@@ -65,24 +65,34 @@ class Recording:
         self._path, self._card, self._link = path, card, link
         self._recorder: Recorder | None = None
         self._waiting: list[Sample] = []
+        self._poses: list[Sample] = []  # the first ones
 
     def heard(self, samples: Sequence[Sample], now: int) -> None:
-        """Writes samples; the file begins with the first pose, which determines the clock that times the poses."""
+        """Writes samples; the file begins when the first poses tell which clock times them, as for the tracker."""
         if self.fault:
             return
-        self._waiting += samples
-        pose = next((one for one in self._waiting if one.stream == "pose"), None)
+        self._waiting += samples  # from the first command on, which is second 0 of the flight
         if self._recorder is None:
-            if pose is None:  # the first command is second 0 of the flight, so that none is dropped
+            self._poses += [one for one in samples if one.stream == "pose"]
+            if len(self._poses) < STRANGE or self._poses[-1].received - self._poses[0].received < 1e9 * LASTING:
                 return
-            import tomli_w
+            self._recorder = self._begun(now)
+        self._write(self._recorder)
 
-            one_clock = ONE_CLOCK[0] <= (pose.received - pose.stamp) / 1e9 <= ONE_CLOCK[1]
-            card = card_as_recorded(self._card.raw, "header.stamp" if one_clock else "log_time")
-            self._recorder = record(self._path, {"card": tomli_w.dumps(card), "link": self._link})
-            self._recorder.window(min(now, self._waiting[0].received), True)
+    def _begun(self, now: int) -> Recorder:
+        """A recorder, once there is a pose."""
+        import tomli_w
+
+        one_clock = any(ONE_CLOCK[0] <= (one.received - one.stamp) / 1e9 <= ONE_CLOCK[1] for one in self._poses)
+        card = card_as_recorded(self._card.raw, "header.stamp" if one_clock else "log_time")
+        recorder = record(self._path, {"card": tomli_w.dumps(card), "link": self._link})
+        recorder.window(min(now, self._waiting[0].received), True)
+        return recorder
+
+    def _write(self, recorder: Recorder) -> None:
+        """Writes the samples that wait."""
         for sample in self._waiting:
-            self._recorder.sample(sample)
+            recorder.sample(sample)
         self._waiting.clear()
 
     def state(self, state: Tracked, now: int) -> None:
@@ -114,7 +124,10 @@ class Recording:
         return self._recorder.fault if self._recorder else ""
 
     def close(self) -> None:
-        """Ends the file."""
+        """Ends the file; one that has not begun is written if there is a pose."""
+        if self._recorder is None and self._poses:
+            self._recorder = self._begun(self._waiting[0].received)
+            self._write(self._recorder)
         if self._recorder is not None:
             self._recorder.close()
 
