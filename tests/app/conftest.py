@@ -1,4 +1,4 @@
-"""A studio of its own for each test that asks for one, and a browser for each module."""
+"""A studio of its own for each test that asks for one, a browser for each module, and looks without a process."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +28,19 @@ def page(studio: "Studio") -> "TestClient":
     from studio_room import client_of
 
     return client_of(studio)
+
+
+@pytest.fixture
+def looks_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tracker of a link looks in this process: one beside takes a second to start, and tells the same.
+
+    `tracking/test_looks_beside.py` proves the latter, as do the tests here that do not ask for this.
+    """
+    from rotorfit.tracking import tracker
+    from rotorfit.tracking.following import Following
+    from rotorfit.tracking.looks import LooksHere
+
+    monkeypatch.setattr(tracker, "LooksBeside", lambda _card, _path, promised, _paced: LooksHere(Following(*promised)))
 
 
 @pytest.fixture(scope="module")

@@ -82,7 +82,7 @@ def test_what_cannot_be_is_one_line(words: tuple[str, ...], said: str) -> None:
     assert said in result.output.strip().splitlines()[-1]
 
 
-def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
+def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     record, memory, model = (tmp_path / name for name in ("flight.mcap", "memory", "model.json"))
     words = ("--link", "sim", "--for", "12", "--jsonl", "--record", str(record), "--state", str(memory), *QUICK)
     result = run(*words, "-o", str(model))
@@ -98,8 +98,9 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
     assert b"/rotorfit/motion" in record.read_bytes()
     assert "card" in log.attached
     assert len(training_flights(load(model))[0]) == 1  # a report knows what it was fitted to
-    assert CliRunner().invoke(main, ["fit", str(record), *QUICK[2:]]).exit_code == 0
+    assert CliRunner().invoke(main, ["fit", str(record), "--axes", "yaw", *QUICK[2:]]).exit_code == 0
 
+    request.getfixturevalue("looks_here")
     again = run("--link", "sim", "--for", "3", "--jsonl", "--state", str(memory), *QUICK)
     first = json.loads(again.stdout.splitlines()[0])
     assert "goes on from" in again.stderr
@@ -176,6 +177,7 @@ def test_a_step_of_the_poses_clock_is_said_and_recorded(tmp_path: Path) -> None:
     assert [event.text for event in read(tmp_path / "flight.mcap").events] == [said[0]]
 
 
+@pytest.mark.usefixtures("looks_here")
 def test_a_recording_that_the_disk_ends_costs_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is said when it happens; table, models and memory come all the same."""
     record, memory, model = (tmp_path / name for name in ("flight.mcap", "memory", "model.json"))
@@ -184,7 +186,7 @@ def test_a_recording_that_the_disk_ends_costs_nothing_else(tmp_path: Path, monke
         recorder.fault = f"{recorder.path}: No space left on device"
 
     monkeypatch.setattr(Recorder, "_run", full)
-    words = ("--link", "sim", "--for", "12", "--record", str(record), "--state", str(memory), *QUICK)
+    words = ("--link", "sim", "--for", "9", "--record", str(record), "--state", str(memory), *QUICK)
     result = run(*words, "-o", str(model))
 
     assert result.exit_code == 1
@@ -194,6 +196,7 @@ def test_a_recording_that_the_disk_ends_costs_nothing_else(tmp_path: Path, monke
     assert "goes on from" in run("--link", "sim", "--for", "1", "--state", str(memory), *QUICK).stderr
 
 
+@pytest.mark.usefixtures("looks_here")
 def test_the_page_of_a_link_has_every_second_of_its_flight(tmp_path: Path) -> None:
     page = tmp_path / "track.html"
     result = run("--link", "sim,mass=1.3@40,wind=1", "--for", "10", "--report", str(page), *QUICK)
@@ -223,6 +226,7 @@ def test_a_result_that_cannot_be_written_costs_no_other(tmp_path: Path, monkeypa
     assert (end["type"], end["models"], end["report"]) == ("end", [], str(page))
 
 
+@pytest.mark.usefixtures("looks_here")
 def test_what_is_remembered_is_of_one_vehicle_and_of_one_tracker(tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     words = ("--link", "sim", "--for", "3", "--state", str(memory), *QUICK)
@@ -240,6 +244,7 @@ def test_what_is_remembered_is_of_one_vehicle_and_of_one_tracker(tmp_path: Path)
     assert memory.read_bytes() == kept
 
 
+@pytest.mark.usefixtures("looks_here")
 def test_a_file_that_is_no_memory_is_named(tmp_path: Path) -> None:
     path = tmp_path / "memory"
     path.write_text("hello")
@@ -312,7 +317,7 @@ def _time_of(memory: Path) -> float:
         return float(kept["now"])
 
 
-def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:
+def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     kept = ("--link", "sim", "--jsonl", "--state", str(tmp_path / "memory"), "--record", str(tmp_path / "flight.mcap"))
     words = [sys.executable, "-m", "rotorfit", "track", *kept]
     last = 0.0
@@ -322,6 +327,7 @@ def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:
             last = json.loads(process.stdout.readline())["time"]
         time.sleep(0.3)
         os.kill(process.pid, signal.SIGKILL)
+    request.getfixturevalue("looks_here")
     model = tmp_path / "model.json"
     again = run(*kept, "--for", "3", "-o", str(model), *QUICK)
     first = json.loads(again.stdout.splitlines()[0])["time"]

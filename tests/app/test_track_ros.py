@@ -210,6 +210,7 @@ def test_without_ros_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -
     assert "--publish ros2 needs the Python package rclpy: run in a shell of a ROS 2 installation" in result.stderr
 
 
+@pytest.mark.usefixtures("looks_here")
 def test_a_simulated_vehicle_reaches_the_topics(graph: Graph) -> None:
     words = ["track", "--link", "sim", "--for", "7", "--pace", "1000", "--structure", "first_order_delay"]
     result = CliRunner().invoke(main, [*words, "--publish", "ros2"])

@@ -233,6 +233,7 @@ def test_ctrl_c_ends_a_log_with_all_that_was_seen_written(log: tuple[str, ...], 
     assert page.exists()
 
 
+@pytest.mark.usefixtures("looks_here")
 def test_a_card_that_is_not_the_recordings_own_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record, card = tmp_path / "flight.mcap", tmp_path / "card.toml"
     words = ["track", "--link", "sim", "--for", "6", "--pace", "1000", "--structure", LAW, "--record", str(record)]
