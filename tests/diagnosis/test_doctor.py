@@ -348,7 +348,7 @@ def test_axes_that_a_frozen_pose_spoils_are_sent_to_the_pose_and_not_to_another_
     }
     with pytest.raises(ModelError, match=f"no numbers for z .*{mend}"):
         predictor_of(stored, "z")
-    plans, proposal = planned(Request(after=stored))
+    plans, proposal = planned(Request(after=stored, design="multisine"))
     assert proposal is not None
     assert proposal.reason.startswith("x, y: the worst known axes")
     assert any(note.startswith("z: ") and note.endswith(mend) for note in plans[0].belief["notes"])
