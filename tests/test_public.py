@@ -22,6 +22,7 @@ import rotorfit as rf
 from flights import steps
 from logs import Csv, ran
 from rotorfit.app.cli import main
+from rotorfit.core.frames import AXES
 from rotorfit.files.models import to_mapping
 from rotorfit.flying.links.sim import SimLink
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
@@ -175,9 +176,9 @@ LAW = "first_order_delay"
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
     logs = []
-    for name, duration, seed in (("train", 20.0, 3), ("proof", 8.0, 4)):
+    for name, axes, duration, seed in (("train", AXES, 20.0, 3), ("proof", ("z", "yaw"), 8.0, 4)):
         folder = tmp_path_factory.mktemp(name)
-        log, _, card = Csv(simulate_flight(Truth(), steps(), duration, seed)).write(folder)
+        log, _, card = Csv(simulate_flight(Truth(), steps(axes), duration, seed)).write(folder)
         logs.append(log)
     return Room(logs[0], logs[1], card, rf.fit(logs[0], card=card, axes="z,yaw", structure=LAW))
 
@@ -463,7 +464,7 @@ def test_a_track_shows_itself_as_table_figure_and_text(track: rf.Track) -> None:
     assert repr(track) == "Track(8.0 s, 1 regime, 0 alarms)"
     assert "<table>" in track._repr_html_()
     panels = track.plot()
-    assert [axes.get_title(loc="left") for axes in panels[:2]] == ["x: input", "y: input"]
+    assert [axes.get_title(loc="left") for axes in panels[:2]] == ["z: input", "yaw: input"]
     assert len(panels) == 3 * len(track.axes)
     plt.close("all")
 
