@@ -36,7 +36,7 @@ LAW = "first_order_delay"
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], str]:
     """A flight in three CSV files, and its card."""
     folder = tmp_path_factory.mktemp("files")
-    flight = simulate_flight(Truth(), steps(seed=1), 15.0, 1)
+    flight = simulate_flight(Truth(), steps(seed=1), 10.0, 1)
     paths = written(folder, in_two_files(flight, Skew(0.25)))
     card = folder / "card.toml"
     card.write_text(
