@@ -262,8 +262,9 @@ def test_a_heading_that_a_flight_only_holds_is_not_published(tmp_path: Path) -> 
     """Its commands answer gusts, and tell of the motion to come: the fit was an input of 18 to 32 instead of 4.4."""
     vehicle = load_vehicle("bebop2")
     plan = rf.plan(
-        card_from_mapping(vehicle.card(), vehicle.name), design="multisine", axes="x,y", room="6x6x4", seed=3
-    )
+        card_from_mapping(vehicle.card(), vehicle.name),
+        design="multisine", axes="x,y", room="6x6x4", duration=30.0, seed=3,
+    )  # fmt: skip
     rf.fly(plan, "sim:bebop2,gusts=0.2", tmp_path / "flight.mcap", seed=3)
     model = rf.fit(tmp_path / "flight.mcap", axes=("yaw",), structure="first_order_delay").model
 

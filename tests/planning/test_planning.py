@@ -158,7 +158,9 @@ def test_open_loop_that_drifts_out_is_refused() -> None:
 
 def test_axes_that_move_each_other_fly_on_odd_multiples_or_the_plan_says_what_may_come() -> None:
     """Tilt times thrust has the sums and differences of their frequencies: even multiples, that no axis flies."""
-    long, short = (plan_flight(CARD, ROOM, "multisine", AXES, seconds, BELIEF) for seconds in (60.0, 30.0))
+    long, short = (
+        plan_flight(CARD, ROOM, "multisine", AXES, seconds, BELIEF, amplitude=0.2) for seconds in (60.0, 30.0)
+    )
     base = 2 * np.pi / 58.0
     used = {axis: np.rint(np.array(frequencies(long, axis)) / base).astype(int) for axis in AXES}
 

@@ -122,7 +122,7 @@ def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monke
     monkeypatch.setattr("rotorfit.tracking.groups.LONGEST", 8.0)
     monkeypatch.setattr("rotorfit.tracking.refits.LONGEST", 8.0)
     following, told = Following(LAW), []
-    for part, now in growing(until(known_flight(), 20.0), following.next_look):
+    for part, now in growing(replace(until(known_flight(), 20.0), axes=("z",)), following.next_look):
         told.append((now, following.look(part, now).axes["z"].values["input"]))
 
     late = [value for now, value in told if now > 13.0]
@@ -152,7 +152,8 @@ def test_what_rest_explains_is_judged_by_the_flight_before_the_change() -> None:
         return np.where(np.any([(a < t) & (t < b) for a, b in pauses], axis=0)[:, None], 0.0, moving(t))
 
     flight = flown(TRUTH, commanded, 26.0, seed=5)
-    flight = replace(flight, command=flight.command / np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None])
+    less = np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None]
+    flight = replace(flight, command=flight.command / less, axes=("x", "y"))
     following = Following(LAW)
     following.look(until(flight, 20.0), 20.0)
     assert following._at_rest(flight, 26.0, ("x.input", "y.input"), 20.0, 0.0)  # as if nothing were seen any more
@@ -177,7 +178,7 @@ def test_an_axis_that_is_no_longer_known_says_until_when_it_was(monkeypatch: pyt
 
     monkeypatch.setattr(following_module, "_knowledge", doubted)
     following, states = Following(LAW), dict[float, str]()
-    for part, now in growing(until(known_flight(), 22.5), following.next_look):
+    for part, now in growing(replace(until(known_flight(), 22.5), axes=("z",)), following.next_look):
         states[now] = following.look(part, now).axes["z"].state
 
     assert states[20.0] == "known"
@@ -185,7 +186,7 @@ def test_an_axis_that_is_no_longer_known_says_until_when_it_was(monkeypatch: pyt
 
 
 def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> None:
-    flight, following = known_flight(), Following(LAW)
+    flight, following = replace(known_flight(), axes=("z", "yaw")), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         state = following.look(part, now)
     following._watched = dict.fromkeys(("z", "yaw"), 10.0)
@@ -320,7 +321,7 @@ def test_an_axis_that_is_only_held_is_given_no_numbers_before_the_fit_can_tell()
 
 
 def test_a_refit_that_knows_axes_and_laws_stands_for_longer_while_its_values_stay_in_its_intervals() -> None:
-    flight, following = known_flight(), Following(LAW)
+    flight, following = replace(known_flight(), axes=("z",)), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         following.look(part, now)
     (fitted,) = (group.fitted for axes, group in following._groups.items() if "z" in axes)
