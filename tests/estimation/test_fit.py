@@ -246,7 +246,7 @@ def test_a_coefficient_that_is_not_identifiable_is_null_and_keeps_its_interval()
 def test_no_delay_is_a_number_like_another() -> None:
     truth = replace(Truth(), delay=(0.0,) * 4)
 
-    model = fit([flown(truth, steps(), 40.0)], structure="first_order_delay").model
+    model = fit([flown(truth, steps(), 25.0)], structure="first_order_delay").model
     for name in AXES:
         axis = model.axes[name]
         assert statuses(axis) == {"ok"}
@@ -264,7 +264,7 @@ def later(flight: Flight, shift: float) -> Flight:
 
 
 def test_commands_that_are_stamped_late_give_a_negative_delay() -> None:
-    flight = flown(replace(Truth(), delay=(0.0,) * 4), steps(), 40.0)
+    flight = flown(replace(Truth(), delay=(0.0,) * 4), steps(), 25.0)
 
     model = fit([later(flight, 0.05)], structure="first_order_delay").model
     for name in AXES:
@@ -274,7 +274,7 @@ def test_commands_that_are_stamped_late_give_a_negative_delay() -> None:
 
 def test_a_card_with_the_wrong_sign_is_fitted_and_told_even_where_the_delay_is_nothing() -> None:
     """Noise makes the estimate of no delay a hair negative: that and the sign are no feedback loop read backwards."""
-    flight = flown(replace(Truth(), delay=(0.0,) * 4), steps(), 40.0)
+    flight = flown(replace(Truth(), delay=(0.0,) * 4), steps(), 25.0)
 
     model = fit([replace(flight, command=-flight.command)], structure="first_order_delay").model
     for name in AXES:
