@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 import rotorfit.tracking.replayed as replayed
 from flights import steps
@@ -126,11 +126,17 @@ def test_a_revised_alarm_is_one_alarm(log: tuple[str, ...], monkeypatch: pytest.
     assert "one alarm, at 6.00 s: limits." in html
 
 
-def test_people_get_words_a_model_and_a_page(log: tuple[str, ...], tmp_path: Path) -> None:
-    model, page = tmp_path / "model.json", tmp_path / "track.html"
-    result = CliRunner().invoke(
-        main, ["track", *log, "--structure", LAW, "-o", str(model), "--report", str(page)]
-    )  # fmt: skip
+@pytest.fixture(scope="module")
+def written(log: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path, Path]:
+    """What people are told, the model and the page."""
+    folder = tmp_path_factory.mktemp("written")
+    model, page = folder / "before.json", folder / "track.html"
+    words = ["track", *log, "--structure", LAW, "-o", str(model), "--report", str(page)]
+    return CliRunner().invoke(main, words), model, page
+
+
+def test_people_get_words_a_model_and_a_page(written: tuple[Result, Path, Path]) -> None:
+    result, model, page = written
 
     assert result.exit_code == 0, result.output
     assert "x    known: input" in result.stdout
@@ -150,10 +156,9 @@ def test_faults_of_the_data_are_told_and_kept_as_by_fit(tmp_path: Path) -> None:
 
 
 def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have_settled(
-    log: tuple[str, ...], tmp_path: Path
+    written: tuple[Result, Path, Path], tmp_path: Path
 ) -> None:
-    before, gains = tmp_path / "before.json", tmp_path / "gains.toml"
-    lines(*log, "--structure", LAW, "-o", str(before))
+    before, gains = written[1], tmp_path / "gains.toml"
     slow = Csv(simulate_flight(Truth(delay=(0.25,) * 4), steps(("x",)), 16.0, seed=8)).write(tmp_path)
     told = lines(*slow, "--structure", LAW, "--after", str(before), "--tune", str(gains))
 

@@ -19,7 +19,7 @@ from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.control.tuning import tune
 from rotorfit.core.errors import ModelError
-from rotorfit.core.frames import Array, world_from_heading
+from rotorfit.core.frames import AXES, Array, world_from_heading
 from rotorfit.core.log import Log
 from rotorfit.core.model import predictor_of
 from rotorfit.diagnosis.doctor import findings_of_flight
@@ -188,7 +188,7 @@ def test_clock_offset(tmp_path: Path) -> None:
     assert set(found) == {("clock_offset", None)}
     assert "200 ms ahead" in found["clock_offset", None]["evidence"]
     assert "200 ms too long" in found["clock_offset", None]["effect"]
-    fitted = ran("fit", *recorded(log, tmp_path, log.pose_time + 0.2), "--axes", "z")
+    fitted = ran("fit", *recorded(log, tmp_path, log.pose_time + 0.2), "--axes", "z", *LAW)
     assert fitted["axes"]["z"]["delay"] == pytest.approx(0.15 + 0.2, abs=0.02)
 
 
@@ -308,23 +308,23 @@ def test_pose_jumps(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("axis", "start", "end", "remedy"),
+    ("axis", "start", "end", "fitted", "remedy"),
     [
-        ("z", 0.0, 99.0, "check that the card names the right column for z of [pose]; if so, look for a sensor"),
-        ("z", 20.0, 99.0, "fit without that stretch, --span :20.0; look for"),
-        ("z", 0.0, 20.0, "fit without that stretch, --span 20.0:; look for"),
-        ("x", 20.0, 99.0, "fit without that stretch, --span :20.0; look for"),
+        ("z", 0.0, 99.0, AXES, "check that the card names the right column for z of [pose]; if so, look for a sensor"),
+        ("z", 20.0, 99.0, ("z", "yaw"), "fit without that stretch, --span :20.0; look for"),
+        ("z", 0.0, 20.0, ("z", "yaw"), "fit without that stretch, --span 20.0:; look for"),
+        ("x", 20.0, 99.0, AXES, "fit without that stretch, --span :20.0; look for"),
     ],
 )
 def test_a_coordinate_that_is_frozen_while_commanded_is_told_and_not_what_follows(
-    tmp_path: Path, axis: str, start: float, end: float, remedy: str
+    tmp_path: Path, axis: str, start: float, end: float, fitted: tuple[str, ...], remedy: str
 ) -> None:
     log = Csv(flown())
     still = (log.pose_time >= start) & (log.pose_time < end)
     log.pose[still, POSE.index(axis)] = log.pose[still, POSE.index(axis)][0]
     words = log.write(tmp_path)
 
-    for found in (said("info", *words), said("fit", *words, *LAW)):
+    for found in (said("info", *words), said("fit", *words, *LAW, "--axes", ",".join(fitted))):
         assert set(found) == {("pose_frozen", axis)}
         (told,) = found.values()
         assert told["remedy"].startswith(remedy)
