@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -23,10 +25,11 @@ def of_x(point: Point = VEHICLE["x"], error: float = 0.05) -> Model:
     return next_fit({"x": point}, error)
 
 
+@cache
 def flown(error: float = 0.05) -> Mapping[str, Flown]:
     """Gains of the vehicle as it is."""
     one = tune(of_x(error=error), axes=("x",)).axes["x"]
-    return {"x": Flown(one.law, one.bandwidth)}
+    return MappingProxyType({"x": Flown(one.law, one.bandwidth)})
 
 
 def looks(retuning: Retuning, *models: Model) -> list[Retuned]:

@@ -91,6 +91,6 @@ def test_gains_are_tried_on_the_vehicle_that_they_are_for() -> None:
     assert told["steps"]["overshoot"] == scores[2].error.overshoot
     assert told["circle"]["overshoot"] is None
     with pytest.raises(ModelError, match="not one of Ryze Tello"):
-        try_tuning(tune(model), model, "tello")
+        try_tuning(tune(model, draws=20), model, "tello")
     with pytest.raises(ModelError, match="no gains for y, z, yaw"):
-        try_tuning(tune(model, axes=("x",)), model, "bebop2")
+        try_tuning(tune(model, axes=("x",), draws=20), model, "bebop2")

@@ -75,7 +75,7 @@ def test_the_next_bandwidth_would_break_the_promise() -> None:
 
 def test_axes_without_numbers_are_refused_in_a_line_and_all_of_them_is_an_error() -> None:
     model = model_of({"x": VEHICLE["x"]})
-    tuning = tune(model)
+    tuning = tune(model, draws=20)
 
     assert set(tuning.axes) == {"x"}
     assert set(tuning.refused) == {"y", "z", "yaw"}
@@ -111,7 +111,7 @@ def test_noisy_poses_get_a_slower_filter() -> None:
 def test_what_the_findings_deny_is_tuned_for_no_controller(code: str) -> None:
     severity: Severity = "warning" if code == "delay_negative" else "error"
     doubted = Finding(code, severity, "the delay of x ends at its bound", "no number holds", "check the clocks", "x")
-    tuning = tune(replace(model_of(), findings=(doubted,)))
+    tuning = tune(replace(model_of(), findings=(doubted,)), draws=20)
 
     assert tuning.refused == {"x": "the delay of x ends at its bound; check the clocks"}
     assert set(tuning.axes) == {"y", "z", "yaw"}
@@ -121,7 +121,8 @@ def test_an_axis_that_moves_backwards_is_not_tuned() -> None:
     g, b, tau = VEHICLE["z"]
 
     assert (
-        "give z of [command] in the card the other sign" in tune(model_of({**VEHICLE, "z": (-g, b, tau)})).refused["z"]
+        "give z of [command] in the card the other sign"
+        in tune(model_of({**VEHICLE, "z": (-g, b, tau)}), draws=20).refused["z"]
     )
 
 

@@ -31,7 +31,7 @@ def run(*words: str | Path) -> tuple[int, str]:
 
 def test_both_formats_hold_the_same_gains_with_units_and_margins(tmp_path: Path) -> None:
     model = model_of({"x": VEHICLE["x"]})
-    tuning = tune(model)
+    tuning = tune(model, draws=20)
     for name in ("gains.toml", "gains.yaml"):
         save_gains(tuning, model, tmp_path / name)
 
@@ -52,7 +52,7 @@ def test_another_suffix_is_refused(tmp_path: Path) -> None:
     model = model_of({"x": VEHICLE["x"]})
 
     with pytest.raises(ModelError, match=r"gains.txt: gains are written as .toml"):
-        save_gains(tune(model), model, tmp_path / "gains.txt")
+        save_gains(tune(model, draws=20), model, tmp_path / "gains.txt")
 
 
 def test_the_verb_refuses_a_suffix_before_it_tunes(tmp_path: Path) -> None:
