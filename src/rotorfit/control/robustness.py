@@ -130,7 +130,7 @@ def _is_excluded(vehicle: LoopVehicle, ci95: Mapping[str, Interval]) -> bool:
     """Whether gain or damping have a sign that their interval excludes: a tail of the normal distribution."""
     for name, value in (("input", vehicle.gain), ("damping", vehicle.damping)):
         low, high = ci95.get(name, (None, None))
-        if low is not None and high is not None and low * high > 0 and value * low <= 0:
+        if (low is not None and value <= 0 < low) or (high is not None and high < 0 <= value):
             return True
     return False
 
