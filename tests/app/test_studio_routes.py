@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ from rotorfit.files.log_span import LogSpan
 from rotorfit.files.logs import read
 from rotorfit.files.models import load, save
 from rotorfit.flights.assemble import flight_from_log
-from studio_room import added, bag, client_of, opened, session_of, settled
+from studio_room import FitHere, added, bag, client_of, opened, session_of, settled
 
 pytestmark = pytest.mark.flights
 
@@ -248,17 +249,19 @@ def test_a_range_outside_the_flight_is_refused_and_says_where_the_flight_is(page
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Studio, TestClient]]:
-    """A session with one fit that was proved, and a comparison."""
+    """A session with two fits that were proved, and a comparison; `test_studio_trouble.py` makes both in processes."""
     with opened(tmp_path_factory.mktemp("fitted") / "workspace") as studio:
         page = client_of(studio)
         drafted(page)
         added(page, "proof.bag", bag(2))
-        for method in ("ml", "paper"):
-            asked = {"axes": ["x", "y"], "method": method, "structure": "first_order_delay"}
-            assert page.post("/api/fits", json=asked).status_code == 200
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("rotorfit.app.web.runner.subprocess", SimpleNamespace(Popen=FitHere, PIPE=None))
+            for method in ("ml", "paper"):
+                asked = {"axes": ["x", "y"], "method": method, "structure": "first_order_delay"}
+                assert page.post("/api/fits", json=asked).status_code == 200
+                settled(studio)
+            assert page.post("/api/fits", json={"compare": ["1", "2"]}).status_code == 200
             settled(studio)
-        assert page.post("/api/fits", json={"compare": ["1", "2"]}).status_code == 200
-        settled(studio)
         yield studio, page
 
 
