@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,7 @@ from rotorfit.files.log_span import LogSpan
 from rotorfit.files.logs import read
 from rotorfit.files.models import load, save
 from rotorfit.flights.assemble import flight_from_log
-from studio_room import FitHere, added, bag, client_of, opened, session_of, settled
+from studio_room import added, bag, client_of, fits_here, opened, session_of, settled
 
 pytestmark = pytest.mark.flights
 
@@ -249,13 +248,13 @@ def test_a_range_outside_the_flight_is_refused_and_says_where_the_flight_is(page
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Studio, TestClient]]:
-    """A session with two fits that were proved, and a comparison; `test_studio_trouble.py` makes both in processes."""
+    """A session with two fits that were proved, and a comparison."""
     with opened(tmp_path_factory.mktemp("fitted") / "workspace") as studio:
         page = client_of(studio)
         drafted(page)
         added(page, "proof.bag", bag(2))
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("rotorfit.app.web.runner.subprocess", SimpleNamespace(Popen=FitHere, PIPE=None))
+            fits_here(patch)
             for method in ("ml", "paper"):
                 asked = {"axes": ["x", "y"], "method": method, "structure": "first_order_delay"}
                 assert page.post("/api/fits", json=asked).status_code == 200
@@ -451,7 +450,8 @@ def test_a_fit_that_cannot_be_says_why_in_one_line(studio: Studio, page: TestCli
     assert "at least 2 s" in fit["text"]
 
 
-def test_a_fit_calls_logs_as_the_user_does(studio: Studio, page: TestClient) -> None:
+def test_a_fit_calls_logs_as_the_user_does(studio: Studio, page: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    fits_here(monkeypatch)
     name = 'my "flight" <1>.bag'
     page.put("/api/card", json={"draft": added(page, name), "seen": 0})
     added(page, "the proof.bag", bag(2))
