@@ -10,8 +10,10 @@ import os
 import socket
 import struct
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -69,6 +71,20 @@ class Client:
     def close(self) -> None:
         self._file.close()
         self.socket.close()
+
+
+def test_a_client_that_stalls_does_not_hold_up_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    from rotorfit.app.live import foxglove
+
+    monkeypatch.setattr(foxglove, "PATIENCE", 0.1)
+    outlet, read = foxglove.FoxgloveOutlet(0, lambda _line: None), threading.Event()
+    server, outlet._server = outlet._server, SimpleNamespace(stop=lambda: read.wait(60.0))
+    begun = time.monotonic()
+    outlet.close()
+
+    assert time.monotonic() - begun < 30.0
+    read.set()
+    server.stop()
 
 
 def test_a_client_reads_all_that_is_told() -> None:

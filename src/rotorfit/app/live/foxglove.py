@@ -1,6 +1,7 @@
 """A Foxglove WebSocket server, which Foxglove and PlotJuggler (3.17 and later) read. Needs foxglove-sdk."""
 
 import math
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
@@ -16,6 +17,9 @@ POSE, COMMAND = "/rotorfit/pose", "/rotorfit/command"
 HOST = "127.0.0.1"
 
 OBJECT = {"type": "object"}
+
+PATIENCE = 2.0
+"""How long clients may take to read what is left [s]."""
 
 
 class FoxgloveOutlet:
@@ -74,8 +78,10 @@ class FoxgloveOutlet:
         self._send(MOTION, motion.to_mapping(), now)
 
     def close(self) -> None:
-        """Ends the server."""
-        self._server.stop()
+        """Ends the server; `stop` would wait for a client that takes nothing any more."""
+        thread = threading.Thread(target=self._server.stop, name="rotorfit-foxglove", daemon=True)
+        thread.start()
+        thread.join(PATIENCE)
 
     def _send(self, topic: str, mapping: Mapping[str, Any], stamp: int) -> None:
         self._channels[topic].log(dict(mapping), log_time=stamp)
