@@ -174,6 +174,15 @@ def test_commands_of_another_clock_are_timed_by_their_arrival() -> None:
     assert plain.command_time[0] == 0.0
 
 
+def test_that_another_clock_is_not_used_is_told_once() -> None:
+    growing = GrowingFlight(CARD)
+    for one in flown()[:3000]:
+        growing.add(replace(one, stamp=one.stamp - 10**13) if one.stream == "pose" else one)
+    (told,) = growing.remarks()
+
+    assert "the clock of the poses is another one: from here on they are timed by their arrival" in told
+
+
 def test_a_step_of_the_poses_clock_is_removed_and_told_also_over_a_restart() -> None:
     at = flown()[0].stamp + 20 * SECOND
     back = [

@@ -132,9 +132,15 @@ class GrowingFlight:
         if wild:
             self._left_out("strange_stamps")
         clock = self._clocks[sample.stream]
+        before = clock.by_arrival
         took = [self._timed(*timed) for one in found for timed in clock.take(one)]
         while clock.steps:
             self._stepped(sample.stream, clock.steps.pop(0))
+        if clock.by_arrival and not before:
+            self._remarks.append(
+                f"{self.now:.1f} s: the clock of the {sample.stream}s is another one: from here on they are timed by "
+                "their arrival"
+            )
         return any(took)
 
     def _stepped(self, stream: str, size: float) -> None:
