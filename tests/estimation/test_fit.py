@@ -365,6 +365,26 @@ def slow_drone() -> Flight:
     return flown(truth, partial(two_sines, axes=("x",)), 60.0, 1)
 
 
+def test_the_profile_of_a_long_flight_is_that_of_the_whole_where_a_delay_is_possible(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Elsewhere it is that of stretches, times their share: as impossible."""
+    truth = replace(Truth(), pose_rate=30.0)
+    long = fit(
+        [flown(truth, steps(("z",), 0.01, seed=3, every=1.5), 420.0, 3)], axes=("z",), structure="first_order_delay"
+    )
+
+    quick = dict(with_delay_profiles(long).model.axes["z"].profile)
+    monkeypatch.setattr("rotorfit.estimation.fitting.on_stretches", lambda *_: None)
+    whole = dict(with_delay_profiles(long).model.axes["z"].profile)
+
+    possible = [delay for delay, height in whole.items() if height > -25]
+    assert quick.keys() == whole.keys()
+    assert 0 < len(possible) < len(whole)
+    assert [quick[delay] for delay in possible] == pytest.approx([whole[delay] for delay in possible], abs=0.1)
+    assert max(height for delay, height in quick.items() if delay not in possible) < -25
+
+
 def test_by_the_papers_method_a_delay_makes_a_small_damping_negative_and_by_the_likelihood_it_does_not() -> None:
     paper, ml = (fit([slow_drone()], method=method, axes=("x",)).model for method in ("paper", "ml"))
 

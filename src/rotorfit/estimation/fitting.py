@@ -30,6 +30,7 @@ from rotorfit.estimation.likelihood.coefficients import (
     holds_zero,
 )
 from rotorfit.estimation.likelihood.extra_parameters import separable, structure_at
+from rotorfit.estimation.likelihood.fisher_scoring import on_stretches
 from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, both_axes, delay_error
 from rotorfit.estimation.likelihood.law_average import averaged, families
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
@@ -444,29 +445,46 @@ def _group_axes(
 
 
 def with_delay_profiles(fit: Fit) -> Fit:
-    """The fit with delay profiles over the whole range of the search, not only where the intervals required them.
-
-    All other parameters are re-maximised at each delay, moving outwards from the maximum; where a delay is impossible,
-    only roughly.
-    """
+    """The fit with delay profiles over the whole range of the search, not only where the intervals required them."""
     axes = dict(fit.model.axes)
-    for name, estimate in fit.estimates.items():
-        if axes[name].predictor is None or not structure_at(estimate.optimum, estimate.place).delayed:
-            continue
-        index = 2 * estimate.optimum.point.gain.size + estimate.place
-        best, least = float(estimate.optimum.point.flat()[index]), height(estimate.optimum) - IMPOSSIBLE
-        drawn = list(axes[name].profile)
-        for side in (-1.0, 1.0):
-            here = estimate.optimum
-            beyond = PROFILE_DELAYS[side * (PROFILE_DELAYS - best) > 0]
-            for target in beyond[np.argsort(side * beyond)]:
-                if height(here) < least:
-                    here = hold(estimate.records, here, index, float(target), ROUGH)
-                if height(here) >= least:
-                    here = hold(estimate.records, here, index, float(target))
-                drawn.append((float(target), height(here) - height(estimate.optimum)))
-        axes[name] = replace(axes[name], profile=tuple(sorted(drawn)))
+    known = [name for name, one in fit.estimates.items() if axes[name].predictor and _has_delay(one)]
+    drawn = parallel.each(lambda name: _delay_profile(fit.estimates[name]), known, _duration(fit.flights))
+    for name, beyond in zip(known, drawn, strict=True):
+        axes[name] = replace(axes[name], profile=tuple(sorted([*axes[name].profile, *beyond])))
     return replace(fit, model=replace(fit.model, axes=axes))
+
+
+def _has_delay(estimate: Estimate) -> bool:
+    return structure_at(estimate.optimum, estimate.place).delayed
+
+
+def _delay_profile(estimate: Estimate) -> list[tuple[float, float]]:
+    """Delays over the range of the search, and how much lower the likelihood is at each than at its maximum.
+
+    All other parameters are re-maximised, moving outwards from the maximum; where a delay is impossible, only roughly,
+    and of long flights on stretches: what these deny, the whole denies at least as much.
+    """
+    records, optimum, drawn = estimate.records, estimate.optimum, []
+    index = 2 * optimum.point.gain.size + estimate.place
+    best, least = float(optimum.point.flat()[index]), height(optimum) - IMPOSSIBLE
+    part = on_stretches(records, optimum.point, optimum.free, optimum.prior)
+    for side in (-1.0, 1.0):
+        here, there = optimum, part[1] if part else optimum
+        beyond = PROFILE_DELAYS[side * (PROFILE_DELAYS - best) > 0]
+        for target in map(float, beyond[np.argsort(side * beyond)]):
+            if part:
+                there = hold(part[0], there, index, target, ROUGH)
+                fall = height(part[1]) - height(there)
+                if fall > IMPOSSIBLE:
+                    share = sum(rec.count.size for rec in part[0]) / sum(rec.count.size for rec in records)
+                    drawn.append((target, -fall / share))
+                    continue
+            if height(here) < least:
+                here = hold(records, here, index, target, ROUGH)
+            if height(here) >= least:
+                here = hold(records, here, index, target)
+            drawn.append((target, height(here) - height(optimum)))
+    return drawn
 
 
 def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFit) -> _Found:

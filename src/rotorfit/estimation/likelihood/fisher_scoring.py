@@ -205,25 +205,34 @@ def maximise(
     return Optimum(point, objective.settled(best, point), free, restricted, inverse, gain, passes, prior)
 
 
-def approached(records: Sequence[Record], point: Point, free: Mask, prior: GaussianPrior | None = None) -> Point:
-    """A start nearer to the maximum, climbed on stretches of long flights; the point itself for others.
-
-    A climb is mostly the way to the neighbourhood of the maximum, which a part of the data shows as well.
+def on_stretches(
+    records: Sequence[Record], point: Point, free: Mask, prior: GaussianPrior | None = None
+) -> tuple[list[Record], Optimum] | None:
+    """Stretches of long flights, and roughly the maximum of their likelihood; None for others.
 
     Args:
         records: The flights.
-        point: Where to start; its start velocities are kept.
+        point: Where to start, apart from the start velocities.
         free: True for the parameters that may move, all start velocities among them.
         prior: Added to the objective.
     """
     short = [stretches(rec) for rec in records]
     if sum(rec.count.size for rec in short) > SHORTER * sum(rec.count.size for rec in records):
-        return point
+        return None
     parts, (K, L) = sum(rec.starts.size for rec in short), point.levels.shape
     begin = replace(point, start=np.zeros((parts, K)))
     moving = np.concatenate([free[: point.n - point.start.size], np.ones(parts * K, bool), free[-K * L :]])
-    found = maximise(short, begin, moving, tolerance=NEAR_ENOUGH, prior=prior).point
-    return replace(found, start=point.start)
+    return short, maximise(short, begin, moving, tolerance=NEAR_ENOUGH, prior=prior)
+
+
+def approached(records: Sequence[Record], point: Point, free: Mask, prior: GaussianPrior | None = None) -> Point:
+    """A start nearer to the maximum, climbed on stretches of long flights; the point itself for others.
+
+    A climb is mostly the way to the neighbourhood of the maximum, which a part of the data shows as well. Arguments as
+    for `on_stretches`; start velocities are kept.
+    """
+    found = on_stretches(records, point, free, prior)
+    return replace(found[1].point, start=point.start) if found else point
 
 
 def climb(
