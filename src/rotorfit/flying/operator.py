@@ -67,7 +67,7 @@ def _keys() -> Iterator[Callable[[], bytes]]:
         yield lambda: os.read(terminal, 64) if select.select([terminal], [], [], 0)[0] else b""
     finally:
         with suppress(termios.error):  # the terminal was closed
-            termios.tcsetattr(terminal, termios.TCSADRAIN, mode)
+            termios.tcsetattr(terminal, termios.TCSANOW, mode)  # a paused terminal would not drain
 
 
 PRIORITY, OTHERS = 20, 10
