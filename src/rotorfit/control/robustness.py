@@ -196,32 +196,34 @@ def _drawn(
     than the others. The best known keeps its distribution where others are far out, and the delay is what is left.
     """
     structure, point = structure_named(law.structure), law.predictor
-    off = dict.fromkeys(("input", "damping", "delay", *point.extra), np.zeros(count)) | _errors(law, count, rng, reach)
-    gain, damping = point.input + off["input"], point.damping + off["damping"]
-    late, extra = np.zeros((3, count)), {}  # at the estimate, its change to first order, and as drawn
+    names = ("input", "damping", "delay", *point.extra)
+    usual, further = ({**dict.fromkeys(names, np.zeros(count)), **each} for each in _errors(law, count, rng, reach))
+    gain, damping = point.input + further["input"], point.damping + further["damping"]
+    late, extra = np.zeros((2, count)), {}  # what makes the answer late besides the delay: to first order, and as drawn
     for one in structure.extras:
-        value, change = point.extra[one.name], off[one.name]
-        extra[one.name] = np.clip(value + change, one.low, one.high)
+        value = point.extra[one.name]
+        extra[one.name] = np.clip(value + further[one.name], one.low, one.high)
         sign = 1.0 if one.place == LAG and structure.order == 1 else -1.0 if one.place == ZERO else 0.0
-        late += sign * np.array([np.full(count, value), change, extra[one.name]])
-    slow = np.array([np.full(count, 1 / point.damping), -off["damping"] / point.damping**2, 1 / damping])
-    rest = min((0.0 * late, late, late + slow), key=lambda each: float(np.std(off["delay"] + each[1])))
-    delay = point.delay + off["delay"] + rest[0] + rest[1] - rest[2]
+        late += sign * np.array([value + usual[one.name], extra[one.name]])
+    slow = np.array([(1 - usual["damping"] / point.damping) / point.damping, 1 / damping])
+    sums = ((0.0 * late, further), (late, usual), (late + slow, usual))
+    rest, off = min(sums, key=lambda each: float(np.std(usual["delay"] + each[0][0])))
+    delay = point.delay + off["delay"] + rest[0] - rest[1]
     if "delay" not in law.stderr:
         delay = rng.normal(*DELAY, count)
     for one in structure.extras:
         if one.place == ZERO:  # no vehicle moves before its command: then it is the zero that makes the answer early
             extra[one.name] = np.minimum(extra[one.name] - np.minimum(delay, 0.0), one.high)
     drawn = []
-    for g, b, tau, *further in np.column_stack([gain, damping, delay, *extra.values()]).tolist():
-        drawn.append(loop_vehicle(structure, Predictor(g, b, tau, dict(zip(extra, further, strict=True)))))
+    for g, b, tau, *others in np.column_stack([gain, damping, delay, *extra.values()]).tolist():
+        drawn.append(loop_vehicle(structure, Predictor(g, b, tau, dict(zip(extra, others, strict=True)))))
     return [one for one in drawn if one is not None]
 
 
 def _errors(
     law: Weighed, count: int, rng: np.random.Generator, reach: Mapping[str, tuple[float, float]]
-) -> dict[str, Array]:
-    """Errors of the parameters of a law drawn from their distribution, by name, shape (count,).
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Errors of the parameters of a law by name, shape (count,): of their normal distribution, and further out.
 
     Where an interval reaches further to a side than its standard error, the parameter goes there and takes along what
     is correlated with it: gain and damping far out are possible together, at the steady gain that the data tell.
@@ -230,10 +232,11 @@ def _errors(
     at = [list(law.stderr).index(name) for name in names]
     value, vector = np.linalg.eigh(np.array(law.correlation)[np.ix_(at, at)])  # a zero may do what the delay does
     R = np.linalg.qr((vector * np.sqrt(np.maximum(value, 0.0))).T, mode="r")
+    R = R * np.copysign(1.0, np.diag(R))[:, None] * np.array([law.stderr[name] for name in names])
     own = rng.standard_normal((count, len(names)))  # of each parameter, given those before it
     down, up = np.array([reach.get(name, (1.0, 1.0)) for name in names]).T
-    errors = (own * np.where(own < 0, down, up)) @ (R * np.copysign(1.0, np.diag(R))[:, None])
-    return {name: law.stderr[name] * error for name, error in zip(names, errors.T, strict=True)}
+    usual, further = (dict(zip(names, (each @ R).T, strict=True)) for each in (own, own * np.where(own < 0, down, up)))
+    return usual, further
 
 
 def doubt(vehicles: Sequence[LoopVehicle], period: float, latency: float, seed: int) -> Doubt:
