@@ -268,7 +268,7 @@ def plans() -> Figures:
         "doublets": Request(card, design="doublets", axes=("z",), duration=40.0),
         "prbs": Request(card, design="prbs", axes=("x", "y"), duration=40.0, seed=4),
         "separate": Request(card, design="two_sines", separate=True, room="6x6x4"),
-        "open_loop": Request(card, axes=("yaw",), open_loop=True, duration=15.0, box="-5,-5,0.5,5,5,4"),
+        "open_loop": Request(card, axes=("yaw",), open_loop=True, duration=15.0, box="-8,-8,0.5,8,8,4"),
         "optimal": Request(card, design="optimal", axes=("x",), duration=30.0),
         "after": Request(after=demo_files()[0], room="6x6x4", duration=20.0),
     }
