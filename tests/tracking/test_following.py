@@ -243,14 +243,14 @@ def test_a_model_of_a_regime_knows_of_each_axis_what_all_the_flight_tells_in_whi
 
 def test_other_axes_that_changed_at_the_same_instant_are_part_of_the_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
     """All gains change at 20 s; at first that of yaw alone is seen, and taken for a weak rotor, as in gusts."""
-    told, calls = following_module._diagnosed, list[int]()
+    told, calls = following_module.diagnosed, list[int]()
 
     def at_first(*seen):  # type: ignore[no-untyped-def]
         calls.append(1)
         named = told(*seen)
         return named if len(calls) > 2 else replace(named, cause="thrust", axes=("yaw",), change={})
 
-    monkeypatch.setattr(following_module, "_diagnosed", at_first)
+    monkeypatch.setattr(following_module, "diagnosed", at_first)
     flight, following = flown(TRUTH, steps(seed=6), 25.0, seed=6), Following(LAW)
     flight = replace(flight, command=flight.command / np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None])
     states = [following.follow(part, now) for part, now in growing(flight, 15.0, GLANCE)]
@@ -267,7 +267,7 @@ def test_other_axes_that_changed_at_the_same_instant_are_part_of_the_alarm(monke
 
 def test_axes_that_were_told_of_stay_part_of_an_alarm_that_others_join(monkeypatch: pytest.MonkeyPatch) -> None:
     """All gains change at 20 s, and are seen on yaw at first, on x and z alone a moment later."""
-    told, calls = following_module._diagnosed, list[int]()
+    told, calls = following_module.diagnosed, list[int]()
 
     def in_turn(*seen):  # type: ignore[no-untyped-def]
         calls.append(1)
@@ -275,7 +275,7 @@ def test_axes_that_were_told_of_stay_part_of_an_alarm_that_others_join(monkeypat
         later = {"cause": "other", "axes": ("x", "z"), "confidence": 0.6}
         return replace(told(*seen), **(first if len(calls) <= 2 else later))
 
-    monkeypatch.setattr(following_module, "_diagnosed", in_turn)
+    monkeypatch.setattr(following_module, "diagnosed", in_turn)
     flight, following = flown(TRUTH, steps(seed=6), 25.0, seed=6), Following(LAW)
     flight = replace(flight, command=flight.command / np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None])
     states = [following.follow(part, now) for part, now in growing(flight, 15.0, GLANCE)]

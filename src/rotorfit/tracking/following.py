@@ -9,12 +9,11 @@ revised: its regime is then as if it had been raised like that. Only then it say
 the size of a change and its time explain each other, and no interval of either alone holds.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import expit
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
@@ -26,21 +25,26 @@ from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.zero_command import late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
-from rotorfit.tracking.causes import Diagnosis, diagnosis, natural
+from rotorfit.tracking.alarms import (
+    alarm_of,
+    diagnosed,
+    is_same,
+    joined_alarm,
+    odds_of_pushes,
+    rarest,
+    seen_in_z_or_yaw,
+    sizes,
+)
 from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
     NEW,
-    UNLIKELY,
     Contrast,
-    at_once,
     calm,
     compares,
     earliest,
-    in_any_air,
     likeliest,
     likeliest_begun,
     looked_together,
-    pushes,
 )
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
@@ -55,7 +59,6 @@ from rotorfit.tracking.groups import (
     scores_of_groups,
 )
 from rotorfit.tracking.instant import changed_when
-from rotorfit.tracking.push import odds_of_a_push, push_interval
 from rotorfit.tracking.refits import (
     REFIT,
     AxisReport,
@@ -69,8 +72,7 @@ from rotorfit.tracking.refits import (
     together,
 )
 from rotorfit.tracking.regimes import Bounds, learnt_from, regimes_of
-from rotorfit.tracking.scores import CHUNK, GUST_POWERS, WINDOWS, Scores
-from rotorfit.tracking.shift import shift_interval
+from rotorfit.tracking.scores import CHUNK, WINDOWS, Scores
 from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY, GLANCE = 1.0, 0.25
@@ -85,10 +87,6 @@ REVISED = 1.0
 SAGS = 10.0
 """Time for which a revision waits while the vehicle may have touched down [s]."""
 
-SAME = 5.0
-"""Time after an alarm was raised in which other axes that may have changed at its instant are part of its change [s].
-"""
-
 JOINS, JOINING = 1e-5, 20.0
 """p-value below which another axis changed with those of an alarm, and for how long after it that is asked [s]. Its
 instant is known, so that no window is chosen; that an alarm is true has been shown before."""
@@ -99,20 +97,9 @@ FALSE_ALARMS_PER_HOUR = 0.1
 RESTLESS = 0.97
 """Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
 
-PUSHES = ("payload", "thrust")
-"""Causes that push by themselves."""
-
-SHARED_SHIFTS = ("delay", "limits")
-"""Causes that shift the coefficients that they change by the same amount."""
-
-WORTH_SAYING = 0.01
-"""Least share of the evidence that is told."""
-
 STRONG = 3.0
 """Log-odds that count as strong evidence (R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795,
 section 3.2)."""
-
-HEAVIER = "x and y are learnt anew, as their damping is drag over mass"
 
 HELD = "its commands only answer its motion"
 
@@ -310,7 +297,7 @@ class Following:
         looked, count = looked_together(list(scored.values()), lengths)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         self._watch(scored, lengths, now)
-        found = _rarest(known, flight, looked, lengths, threshold)
+        found = rarest(known, flight, looked, lengths, threshold)
         if not found:
             self._raised = self._joined(flight, now) if lengths == WINDOWS else None
             return None
@@ -321,15 +308,15 @@ class Following:
         if not calm(scored[names], earlier, best.since, p_value):
             self._suspected = suspected or now
             return None  # the air, not the vehicle
-        if not _seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, names, earlier, threshold):
+        if not seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, names, earlier, threshold):
             self._suspected = suspected or now  # a change that is barely seen may show in the answers a moment later
             return None  # the vehicle has not changed: it obeys another law at rest
-        if self._told and _is_same(self._told.alarm, since, now):
+        if self._told and is_same(self._told.alarm, since, now):
             self._raised = replace(self._told, found=now, names=names, contrast=first, p_value=p_value, looked=looked)
             return None  # nothing new, but more of it
-        odds = _odds_of_a_push(scored, since) if best.jolt else np.inf
-        named = _diagnosed(scored, names, best, looked, {}, odds)
-        alarm = _alarm(flight, now, named, since, p_value)
+        odds = odds_of_pushes(scored, since) if best.jolt else np.inf
+        named = diagnosed(scored, names, best, looked, {}, odds)
+        alarm = alarm_of(flight, now, named, since, p_value)
         before = _Before(self._since, self._changed, self._bounds, self._groups)
         self._raised = _Raised(alarm, now, names, first, p_value, looked, before)
         self._begin(alarm, when, before)
@@ -361,14 +348,14 @@ class Following:
         looked, _ = looked_together(scores)
         best = likeliest(here, first, looked[raised.names])
         when, since = changed_when(here, earliest(here, first))
-        odds = _odds_of_a_push(scored, since) if best.jolt else np.inf
+        odds = odds_of_pushes(scored, since) if best.jolt else np.inf
         if not best.jolt or odds < -STRONG:
             best = likeliest_begun(here, since) or best
-        named = _diagnosed(scored, raised.names, best, looked, raised.looked, odds)
-        change = _sizes(named, scored, since, best.since)
-        alarm = replace(_alarm(flight, now, named, since, raised.p_value), change=change, revises=raised.alarm.raised)
+        named = diagnosed(scored, raised.names, best, looked, raised.looked, odds)
+        change = sizes(named, scored, since, best.since)
+        alarm = replace(alarm_of(flight, now, named, since, raised.p_value), change=change, revises=raised.alarm.raised)
         if self._told and self._told.alarm.raised == alarm.raised:
-            alarm = _both(self._told.alarm, alarm, {name.partition(".")[0] for name in raised.names})
+            alarm = joined_alarm(self._told.alarm, alarm, {name.partition(".")[0] for name in raised.names})
         self._told = replace(raised, alarm=alarm)
         self._begin(alarm, when, raised.before)
         return alarm
@@ -530,119 +517,6 @@ class Following:
             ahead=motion.ahead,
             ahead_ci95=_around(motion.ahead, motion.ahead_error),
         )
-
-
-def _odds_of_a_push(scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float]) -> float:
-    """Logarithm of the odds that z and yaw were pushed, against other coefficients of theirs since then."""
-    return sum(odds_of_a_push(scores, since) for scores in scored.values() if scores.jolts.size)
-
-
-def _diagnosed(
-    scored: Mapping[tuple[str, ...], Scores],
-    names: tuple[str, ...],
-    best: Contrast,
-    looked: Mapping[tuple[str, ...], Sequence[Contrast]],
-    earlier: Mapping[tuple[str, ...], Sequence[Contrast]],
-    odds: float,
-) -> Diagnosis:
-    """Names a change by the contrast that shows it best, and what the other likelihoods show then.
-
-    Args:
-        scored: Scores of each likelihood, by their names.
-        names: Those of the likelihood that shows it.
-        best: Its contrast.
-        looked: All contrasts of this look, likewise.
-        earlier: Those of the look that raised the alarm.
-        odds: Logarithm of the odds of a push, from which follows the share of the evidence for other coefficients.
-    """
-    others = [
-        (scores, there)
-        for other, scores in scored.items()
-        if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
-    ]
-    named = diagnosis([(scored[names], best), *others])
-    share = float(expit(-odds))
-    if not best.jolt or named.cause not in PUSHES or share < WORTH_SAYING:
-        return named
-    doubt = f"or it was no push but another delay, gain or damping, with {100 * share:.0f} % of the evidence"
-    return replace(named, confidence=(1 - share) * named.confidence, why=f"{named.why}; {doubt}")
-
-
-def _sizes(
-    named: Diagnosis, scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float], window: float
-) -> Mapping[str, tuple[float, float]]:
-    """The intervals of a change for any instant of `since`; a push has that of its first acceleration."""
-    axes = {name: next(scores for names, scores in scored.items() if name in names) for name in named.change}
-    if named.cause in PUSHES:
-        return {name: push_interval(scores, since) for name, scores in axes.items()}
-    shift = shift_interval(scored.values(), named.change, since, window) if named.cause in SHARED_SHIFTS else None
-    if shift is None:
-        return named.change
-    size = {name: float(scores.scale[scores.names.index(name)]) for name, scores in axes.items()}
-    return {name: natural(name, (shift[0] * size[name], shift[1] * size[name])) for name in axes}
-
-
-def _is_same(told: Alarm, since: tuple[float, float], now: float) -> bool:
-    """Whether a change that came at an instant within an interval [s] may be the one that was told of a moment ago."""
-    return now < told.raised + SAME and since[0] <= told.since[1] and told.since[0] <= since[1]
-
-
-def _alarm(flight: Flight, now: float, named: Diagnosis, since: tuple[float, float], p_value: float) -> Alarm:
-    """A new alarm, of a change that came within an interval [s]."""
-    heavier = [axis for axis in flight.axes if named.cause == "payload" and is_drag(flight.card, axis)]
-    return Alarm(
-        time=now,
-        axes=tuple(axis for axis in AXES if axis in named.axes or axis in heavier),
-        cause=named.cause,
-        since=since,
-        change={},
-        confidence=named.confidence,
-        p_value=p_value,
-        why=f"{named.why}; {HEAVIER}" if heavier else named.why,
-    )
-
-
-def _both(told: Alarm, more: Alarm, joined: Collection[str]) -> Alarm:
-    """An alarm and what was found of it later, on the axes `joined`: none that was told of is as it was before.
-
-    Where the later one does not explain all axes, the cause is that of the surer one and the instant that of the first.
-    """
-    every = {*told.axes, *more.axes, *joined}
-    if every <= set(more.axes):
-        return more
-    surer = max(more, told, key=lambda one: one.confidence)
-    both = replace(more, axes=tuple(axis for axis in AXES if axis in every), since=told.since)
-    change = {**more.change, **told.change}
-    return replace(both, change=change, cause=surer.cause, confidence=surer.confidence, why=surer.why)
-
-
-def _seen_in_z_or_yaw(looked: Mapping[tuple[str, ...], Sequence[Contrast]], first: Contrast) -> bool:
-    """Whether z or yaw, which do not brake, answer otherwise since the same instant."""
-    return any(
-        one.since == first.since and one.p_value < UNLIKELY
-        for names, each in looked.items()
-        if not {name.partition(".")[0] for name in names} & {"x", "y"}
-        for one in each
-    )
-
-
-def _rarest(
-    known: Sequence[GroupEstimate],
-    flight: Flight,
-    looked: Mapping[tuple[str, ...], Sequence[Contrast]],
-    lengths: Sequence[float],
-    threshold: float,
-) -> tuple[tuple[str, ...], Contrast, float] | None:
-    """The contrast with the smallest p-value below a threshold: names of its scores, and its p-value in any air."""
-    found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
-    if not found:
-        return None
-    names, first = min(found, key=lambda each: each[1].p_value)
-    p_value = first.p_value
-    if pushes(names, first):
-        under = [scores_of_groups(known, flight, gusts) for gusts in range(1 + len(GUST_POWERS))]
-        p_value = max(p_value, in_any_air(names, under, lengths))
-    return (names, first, p_value) if p_value <= threshold else None
 
 
 def next_look(due: float, now: float, every: float = EVERY) -> float:
