@@ -368,7 +368,7 @@ def slow_drone() -> Flight:
 def test_the_profile_of_a_long_flight_is_that_of_the_whole_where_a_delay_is_possible(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Elsewhere it is that of stretches, times their share: as impossible."""
+    """Elsewhere it is that of stretches: as impossible."""
     truth = replace(Truth(), pose_rate=30.0)
     long = fit(
         [flown(truth, steps(("z",), 0.01, seed=3, every=1.5), 420.0, 3)], axes=("z",), structure="first_order_delay"

@@ -155,8 +155,9 @@ def test_a_row_below_the_names_states_units(row: str, units: dict, rest: str, tm
     )
 
 
-def test_dates_are_nanoseconds_whatever_unit_is_stated(tmp_path: Path) -> None:
-    table_of(tmp_path, "time,x\ns,m", [f"{step:%H:%M:%S.%f},1.5" for step in STEPS])
+@pytest.mark.parametrize("blank", [0, 3])
+def test_dates_are_nanoseconds_whatever_unit_is_stated(blank: int, tmp_path: Path) -> None:
+    table_of(tmp_path, "time,x\ns,m", [",1.5"] * blank + [f"{step:%H:%M:%S.%f},1.5" for step in STEPS])
 
     assert read(tmp_path / "flight.csv").units == {("flight", "x"): "m"}
 

@@ -461,8 +461,8 @@ def _has_delay(estimate: Estimate) -> bool:
 def _delay_profile(estimate: Estimate) -> list[tuple[float, float]]:
     """Delays over the range of the search, and how much lower the likelihood is at each than at its maximum.
 
-    All other parameters are re-maximised, moving outwards from the maximum; where a delay is impossible, only roughly,
-    and of long flights on stretches: what these deny, the whole denies at least as much.
+    All other parameters are re-maximised, moving outwards from the maximum; where a delay is impossible, only roughly.
+    Where stretches of long flights deny it, it is drawn as low as by these: the whole denies it about as much, or more.
     """
     records, optimum, drawn = estimate.records, estimate.optimum, []
     index = 2 * optimum.point.gain.size + estimate.place
@@ -476,8 +476,7 @@ def _delay_profile(estimate: Estimate) -> list[tuple[float, float]]:
                 there = hold(part[0], there, index, target, ROUGH)
                 fall = height(part[1]) - height(there)
                 if fall > IMPOSSIBLE:
-                    share = sum(rec.count.size for rec in part[0]) / sum(rec.count.size for rec in records)
-                    drawn.append((target, -fall / share))
+                    drawn.append((target, -fall))
                     continue
             if height(here) < least:
                 here = hold(records, here, index, target, ROUGH)

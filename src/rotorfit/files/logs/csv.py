@@ -8,7 +8,7 @@ combined column. A row of units below the names states the units of the columns.
 
 import csv
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -62,6 +62,9 @@ _DAY_FIRST = r"\d\d\.\d\d\.\d{4}"
 _DATE = rf"^(?:(\d{{4}}[-/]\d\d[-/]\d\d|{_DAY_FIRST})[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{{1,9}})?)(Z|[+-]\d\d:?\d\d)?$"
 
 _OTHER_DATE = re.compile(r"\d{1,4}[./-]\d{1,2}[./-]\d{1,4}\b.*\d:\d\d")
+
+_MOST_BLANK = 1000
+"""Number of rows in which the first cell of a column that is not blank is looked for."""
 
 _STAMP_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
 
@@ -163,9 +166,8 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     below, below_end = _cells_at(data, end + 1, separator)
     if below_end > 0 and _are_units(below, names):
         end = below_end
-        first, _ = _cells_at(data, end + 1, separator)
         told = [(name, cell) for name, cell in zip(names, below, strict=True) if cell.strip("[]()- ")]
-        dates = {name for name, value in zip(names, first, strict=False) if re.match(_DATE, value)}  # become ns
+        dates = _dated(data, end + 1, separator, names)  # become ns
         units = {name: unit for name, cell in told if name not in dates and (unit := _unit(cell))}
         rest = [cell for name, cell in told if name not in units]
         stated = listed([f"{name} {unit}" for name, unit in units.items()]) or "none"
@@ -175,6 +177,19 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     columns = with_stamps(columns_below(path, data, part, names, separator, notes, data[:end]))
     known = {(path.stem, name): unit for name, unit in units.items() if name in columns}
     return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes), units=known)
+
+
+def _dated(data: bytes, start: int, separator: str, names: Sequence[str]) -> set[str]:
+    """The columns that hold dates, by the first cell of each that is not blank, among the first rows."""
+    blank, dates = set(names), set[str]()
+    for _ in range(_MOST_BLANK):
+        row, end = _cells_at(data, start, separator)
+        if end <= start or not blank:
+            break
+        told = {name: cell for name, cell in zip(names, row, strict=False) if name in blank and cell.strip()}
+        dates |= {name for name, cell in told.items() if re.match(_DATE, cell)}
+        blank, start = blank - told.keys(), end + 1
+    return dates
 
 
 def _cells_at(data: bytes, start: int, separator: str) -> tuple[list[str], int]:
