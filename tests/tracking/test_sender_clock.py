@@ -97,3 +97,22 @@ def test_what_a_radio_does_is_no_step_and_waits_for_nothing(radio: object, lost:
         assert not steps
         assert [at for at, _ in timed] == [one.stamp for one in samples[: len(timed)]]
         assert len(timed) > len(samples) - 10
+
+
+def test_a_queue_that_drops_what_it_held_since_the_start_is_no_step() -> None:
+    time, arrivals = sent()
+    full = time < 6.0
+    there = full | (time > 6.14)
+
+    timed, steps = through(received(time[there], (arrivals + 0.14 * full)[there]))
+
+    assert not steps
+    assert [at for at, _ in timed] == [one.stamp for _, one in timed]
+
+
+def test_a_clock_that_is_set_on_by_less_than_the_samples_are_late_is_a_step_after_a_minute() -> None:
+    time, arrivals = sent(80.0)
+
+    _, steps = through(received(time + 0.1 * (time > 70.0), arrivals + 0.3))
+
+    assert steps == pytest.approx([0.1], abs=0.003)

@@ -29,7 +29,7 @@ and how long they must have arrived [s]: what a stalled link delivers at once is
 
 PROMPT = 60.0
 """Time in which some samples arrived promptly [s]: who sets the clock on gets ahead of all of them, which a queue that
-empties does not."""
+empties, or drops what it holds, does not."""
 
 USUAL = 100
 """Number of samples whose intervals are the usual ones."""
@@ -96,7 +96,16 @@ class SenderClock:
         if len(late) < STRANGE or sample.received - self._waiting[0].received < 1e9 * LASTING:
             return ()
         size = float(np.quantile(late, EARLY))
-        return self._released(size if abs(size + self._jump) < 0.5 * abs(size) else 0.0)
+        step = abs(size + self._jump) < 0.5 * abs(size) and not self._caught_up(size)
+        return self._released(size if step else 0.0)
+
+    def _caught_up(self, size: float) -> bool:
+        """Whether samples that come earlier now, by `size` < 0 [s], may show a queue that dropped what it held.
+
+        A clock that was set on makes samples arrive before they were sent, or earlier than in a minute before.
+        """
+        heard = (self._past[-1][1] - self._past[0][1]) / 1e9
+        return size < 0 <= self._base + size and heard < 0.9 * PROMPT
 
     def _released(self, size: float) -> Sequence[Sample]:
         """The samples that wait, moved by a step of the lateness [s]; 0 if it is none."""
