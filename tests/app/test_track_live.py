@@ -149,6 +149,23 @@ def test_the_clock_of_a_recording_is_that_of_its_tracker(late: int, seconds: flo
     assert len(read(path).tables["/rotorfit/pose"].columns["log_time"]) == count
 
 
+@pytest.mark.parametrize(("off", "clock"), [(0.0, "header.stamp"), (-40.0, "log_time")])
+def test_commands_are_recorded_as_they_arrive_and_timed_as_by_the_tracker(
+    off: float, clock: str, tmp_path: Path
+) -> None:
+    recording = Recording(tmp_path / "flight.mcap", CARD, "sim")
+    for one in flown():
+        late = one.stream == "command"
+        moved = replace(one, stamp=one.stamp + round(off * SECOND), received=one.received + SECOND // 100)
+        recording.heard([moved if late else one], one.received)
+    recording.close()
+
+    log = read(tmp_path / "flight.mcap")
+    assert card_of(log).command_time.source == f"/rotorfit/command:{clock}"
+    columns = log.tables["/rotorfit/command"].columns
+    assert (columns["log_time"] - columns["header.stamp"]) / 1e9 == pytest.approx(0.01 - off, abs=1e-6)
+
+
 class Played:
     """A link that plays samples."""
 

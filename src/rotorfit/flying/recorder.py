@@ -155,7 +155,10 @@ class Recorder:
         elif sample.stream == "velocity":
             self._add(VELOCITY, sample.received, _twist(sample.stamp, sample.values))
         elif sample.stream == "command":
-            self.command(sample.stamp, sample.values)
+            self.commands += 1
+            self._add(COMMAND, sample.received, _twist(sample.stamp, sample.values))
+            if self._beside:
+                self._beside.take("command", sample.stamp, sample.received, sample.values)
         elif sample.stream == "obeys":
             self.window(sample.received, bool(sample.values[0]))
         elif sample.stream == "said":
@@ -247,12 +250,15 @@ def record(path: str | Path, attached: Mapping[str, str], beside: Beside | None 
     return Recorder(cast("BinaryIO", file), path, attached, beside)  # unbuffered: each write reaches the system at once
 
 
-def card_as_recorded(raw: Mapping[str, Any], pose_clock: str = "header.stamp") -> dict[str, Any]:
+def card_as_recorded(
+    raw: Mapping[str, Any], pose_clock: str = "header.stamp", command_clock: str = "log_time"
+) -> dict[str, Any]:
     """A raw card with the columns of a recording, and the meanings, limits and priors of the given card.
 
     Args:
         raw: Raw card of the commands that are flown.
         pose_clock: `header.stamp`, the sender's clock, or `log_time`, the time of arrival.
+        command_clock: Likewise; of the commands that `fly` sends, `log_time` is when they were sent.
     """
     parts = {"x": "linear.x", "y": "linear.y", "z": "linear.z", "yaw": "angular.z"}
     kept = {axis: raw["command"][axis] for axis in AXES if axis in raw["command"]}
@@ -268,7 +274,7 @@ def card_as_recorded(raw: Mapping[str, Any], pose_clock: str = "header.stamp") -
     return {
         "name": raw.get("name", "rotorfit fly"),
         "frame": "ENU",
-        "command": {"frame": "heading", "time": f"{COMMAND}:log_time", **hold, **command},
+        "command": {"frame": "heading", "time": f"{COMMAND}:{command_clock}", **hold, **command},
         "pose": {"time": f"{POSE}:{pose_clock}", **position, "quaternion": f"{POSE}:pose.orientation"},
         "window": {"when": f"{WINDOW}:data"},
         **{key: raw[key] for key in ("limits", "prior") if key in raw},

@@ -80,11 +80,11 @@ class Recording:
         self._write(self._recorder)
 
     def _begun(self, now: int) -> Recorder:
-        """A recorder, once there is a pose."""
+        """A recorder, once there is a pose; the commands so far tell their clock, too."""
         import tomli_w
 
-        one_clock = any(ONE_CLOCK[0] <= (one.received - one.stamp) / 1e9 <= ONE_CLOCK[1] for one in self._poses)
-        card = card_as_recorded(self._card.raw, "header.stamp" if one_clock else "log_time")
+        commands = [one for one in self._waiting if one.stream == "command"]
+        card = card_as_recorded(self._card.raw, _clock_of(self._poses), _clock_of(commands))
         recorder = record(self._path, {"card": tomli_w.dumps(card), "link": self._link})
         recorder.window(min(now, self._waiting[0].received), True)
         return recorder
@@ -130,6 +130,12 @@ class Recording:
             self._write(self._recorder)
         if self._recorder is not None:
             self._recorder.close()
+
+
+def _clock_of(first: Sequence[Sample]) -> str:
+    """The clock that times samples, as their tracker takes it: the sender's, or that of their arrival."""
+    late = [(one.received - one.stamp) / 1e9 for one in first]
+    return "header.stamp" if not late or any(ONE_CLOCK[0] <= one <= ONE_CLOCK[1] for one in late) else "log_time"
 
 
 class Remembering:
