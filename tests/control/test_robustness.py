@@ -173,3 +173,10 @@ def test_a_sign_that_the_interval_excludes_is_the_tail_of_a_normal_distribution_
     assert (vehicles < 0).any()
     assert 400 < len(known) < 500
     assert (known > 0).all()
+
+
+def test_a_delay_that_is_not_known_counts_as_that_of_commercial_quadrotors_and_is_not_predicted_over() -> None:
+    model = without_delays(model_of())
+
+    assert known_dynamics(model, "x").delay == 0.0
+    assert known_vehicle(model, "x").delay == DELAY[0]

@@ -142,6 +142,7 @@ ROWS = [f"{k / 8};{k};{-k}" for k in range(40)]
         ("usec;degrees;deg/sec", {"time": "us", "x": "deg", "y": "deg/s"}, ""),
         ("(\N{MICRO SIGN}s);\N{DEGREE SIGN};\N{DEGREE SIGN}/s", {"time": "us", "x": "deg", "y": "deg/s"}, ""),
         ("a;ft;m", {"y": "m"}, "; not used: a, ft"),
+        ("s;1;mm", {"time": "s", "y": "mm"}, "; not used: 1"),
     ],
 )
 def test_a_row_below_the_names_states_units(row: str, units: dict, rest: str, tmp_path: Path) -> None:

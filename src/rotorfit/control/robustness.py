@@ -28,6 +28,9 @@ from rotorfit.planning.belief import DELAY
 TINY = float(np.finfo(float).tiny)
 """Lower limit of the size of a loop whose gain is so small that it counts as zero."""
 
+SLOWEST = 0.1
+"""Least share of the damping at which a drawn vehicle keeps the total lag: with less, no delay makes up for it."""
+
 GRID = 300
 """Number of frequencies at which the loops of the draws are evaluated."""
 
@@ -85,15 +88,21 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
 
 
 def known_vehicle(model: Model, axis: str) -> LoopVehicle:
-    """The axis under its own law, where margins follow from it; else as `known_dynamics`.
+    """The axis under its own law, where margins follow from it; else under the first-order law with a delay.
+
+    A delay that the model does not know is that of commercial quadrotors: without one, margins promise too much.
 
     Raises:
         ModelError: The axis was not excited.
     """
     point = predictor_of(model, axis)
     if model.axes[axis].delay is None and f"{axis}.delay" not in model.covariance_names:
-        point = replace(point, delay=0.0)
-    return loop_vehicle(structure_named(model.axes[axis].structure), point) or known_dynamics(model, axis)
+        point = replace(point, delay=DELAY[0])
+    own = loop_vehicle(structure_named(model.axes[axis].structure), point)
+    if own:
+        return own
+    law, plain = first_order(model, axis), known_dynamics(model, axis)
+    return plain if "delay" in law.stderr or not law.stderr else plain._replace(delay=DELAY[0])
 
 
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[LoopVehicle]:
@@ -198,14 +207,15 @@ def _drawn(
     structure, point = structure_named(law.structure), law.predictor
     names = ("input", "damping", "delay", *point.extra)
     usual, further = ({**dict.fromkeys(names, np.zeros(count)), **each} for each in _errors(law, count, rng, reach))
-    gain, damping = point.input + further["input"], point.damping + further["damping"]
+    b = point.damping
+    gain, damping = point.input + further["input"], b + further["damping"]
     late, extra = np.zeros((2, count)), {}  # what makes the answer late besides the delay: to first order, and as drawn
     for one in structure.extras:
         value = point.extra[one.name]
         extra[one.name] = np.clip(value + further[one.name], one.low, one.high)
         sign = 1.0 if one.place == LAG and structure.order == 1 else -1.0 if one.place == ZERO else 0.0
         late += sign * np.array([value + usual[one.name], extra[one.name]])
-    slow = np.array([(1 - usual["damping"] / point.damping) / point.damping, 1 / damping])
+    slow = np.array([(1 - usual["damping"] / b) / b, 1 / np.maximum(damping, SLOWEST * b)])
     sums = ((0.0 * late, further), (late, usual), (late + slow, usual))
     rest, off = min(sums, key=lambda each: float(np.std(usual["delay"] + each[0][0])))
     delay = point.delay + off["delay"] + rest[0] - rest[1]

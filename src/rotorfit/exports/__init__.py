@@ -51,7 +51,7 @@ class Export:
     kept: Path | None = field(default=None, repr=False)
 
 
-IMPORTED = ("math", "itertools", "numpy", "scipy", "control", "casadi", "jax", "rotorpy")
+IMPORTED = ("math", "itertools", "numpy", "scipy", "control", "casadi", "acados_template", "jax", "rotorpy")
 """Modules that exported Python imports, which a file of the same name beside it would hide."""
 
 

@@ -406,8 +406,9 @@ def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
         advice = "use it; this may be chance, and another flight that is not fitted will tell"
         return Lamp("residuals", "yellow", "in doubt", sentences([text])[0], advice)
     means = "the model leaves out part of the answer, other motion may be predicted worse"
-    text = f"{what} ({chance(p)}): {means if follows else 'something regular is left that the commands do not explain'}"
-    advice = _with_residuals(tests, bool(follows), richer)
+    answers = what != "not white"
+    text = f"{what} ({chance(p)}): {means if answers else 'something regular is left that the commands do not explain'}"
+    advice = _with_residuals(tests, answers, richer)
     if ratios and max(ratios) > OTHER:
         text += f"; their variance is up to {max(ratios):.2g} times that of the fit"
         advice += f"; multiply the standard deviations of its noise by {figure(max(ratios) ** 0.5)}"

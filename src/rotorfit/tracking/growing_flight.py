@@ -96,7 +96,7 @@ class GrowingFlight:
 
     def __init__(self, card: Card, origin: int | None = None, path: str = UNRECORDED) -> None:
         self._origin, self._so_far = origin, FlightSoFar(card, path)
-        self._path, self._begun = path, np.inf  # when the first command came since the start or the restart
+        self._path, self._begun = path, np.inf  # when the first obeyed command came since the start or the restart
         self._earlier: list[Part] = []
         self._clocks = {name: SenderClock() for name in _TIMED}
         self._remarks: list[str] = []
@@ -199,7 +199,8 @@ class GrowingFlight:
     def _command(self, time: float, values: Sequence[float]) -> bool:
         if self._commands.time.size and time <= self._commands.time[-1]:
             return self._left_out("late_commands")
-        self._begun = min(self._begun, time)
+        if self._obeys:
+            self._begun = min(self._begun, time)
         self._commands.append(time, values, np.inf)
         self._commands.forget(time - KEPT)
         self._ground.command(time, values)

@@ -71,7 +71,7 @@ class Recording:
         """Writes samples; the file begins when the first poses tell which clock times them, as for the tracker."""
         if self.fault:
             return
-        self._waiting += samples  # from the first command on, which is second 0 of the flight
+        self._waiting += samples
         if self._recorder is None:
             self._poses += [one for one in samples if one.stream == "pose"]
             if len(self._poses) < STRANGE or self._poses[-1].received - self._poses[0].received < 1e9 * LASTING:

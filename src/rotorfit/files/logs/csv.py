@@ -115,8 +115,10 @@ def _with_line_ends(data: bytes) -> bytes:
 
 
 def _are_units(row: list[str], names: list[str]) -> bool:
-    """Whether the row below the names has units: as many cells, and no number."""
-    return len(row) == len(names) and any(row) and not any(map(_is_value, row))
+    """Whether the row below the names has units: as many cells, and no number but 1, the unit of what has none."""
+    if len(row) != len(names) or not any(row) or any(_is_value(cell) for cell in row if cell != "1"):
+        return False
+    return "1" not in row or any(map(_unit, row))
 
 
 def _is_value(cell: str) -> bool:
