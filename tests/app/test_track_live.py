@@ -36,6 +36,7 @@ from rotorfit.files.logs import read
 from rotorfit.files.models import load
 from rotorfit.flying.listening import Listening
 from rotorfit.flying.recorder import Recorder
+from rotorfit.tracking.flight_so_far import UNRECORDED
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.tracker import Tracker
 
@@ -196,10 +197,14 @@ def test_a_step_of_the_poses_clock_is_said_and_recorded(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("looks_here")
 def test_a_recording_that_the_disk_ends_costs_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is said when it happens; table, models and memory come all the same."""
+    """It is said when it happens; table, models and memory come all the same, and models say what the file lacks."""
     record, memory, model = (tmp_path / name for name in ("flight.mcap", "memory", "model.json"))
 
     def full(recorder: Recorder) -> None:
+        with recorder._file as file:
+            while room := 300_000 - file.tell():
+                file.write(recorder._queue.taken()[:room])
+                time.sleep(0.01)
         recorder.fault = f"{recorder.path}: No space left on device"
 
     monkeypatch.setattr(Recorder, "_run", full)
@@ -210,6 +215,10 @@ def test_a_recording_that_the_disk_ends_costs_nothing_else(tmp_path: Path, monke
     assert result.stderr.count("No space left on device") == 2  # when it happened, and why the exit code is 1
     assert "steady gain" in result.stdout
     assert load(model).axes["yaw"].input is not None
+    held, (first, rest) = flight(record), load(model).flights
+    assert (first.path, first.sha256, first.span[1]) == (held.path, held.sha256, held.span[1])
+    assert (rest.path, rest.sha256) == (UNRECORDED, "")
+    assert 2.0 < first.span[1] < 9.0 - rest.span[1] + 0.1 < first.span[1] + 0.2
     assert "goes on from" in run("--link", "sim", "--for", "1", "--state", str(memory), *QUICK).stderr
 
 
@@ -352,7 +361,7 @@ def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path, request: pytest
     assert first >= last - 1.0  # the flight that is remembered may be ahead of the last look that was told
     assert "flight.mcap is kept; the recording goes on in" in again.stderr
     files = {str(tmp_path / name): flight(tmp_path / name) for name in ("flight.mcap", "flight-2.mcap")}
-    named = load(model).flights
+    named = [source for source in load(model).flights if source.path != UNRECORDED]  # what the kill lost
     assert {source.path for source in named} == files.keys()
     for source in named:
         whole = files[source.path]

@@ -8,6 +8,7 @@ Source: https://mcap.dev/spec for the file, OMG DDSI-RTPS 2.3, 10 (plain CDR, li
 """
 
 import json
+import os
 import struct
 import threading
 import time
@@ -20,6 +21,7 @@ from rotorfit.core.errors import LogError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
 from rotorfit.files.logs.mcap import ATTACHED, EVENTS
+from rotorfit.files.logs.mcap_records import MAGIC
 from rotorfit.flying.beside import Beside
 from rotorfit.version import __version__
 
@@ -248,6 +250,13 @@ def record(path: str | Path, attached: Mapping[str, str], beside: Beside | None 
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror}); check the folder and its permissions") from error
     return Recorder(cast("BinaryIO", file), path, attached, beside)  # unbuffered: each write reaches the system at once
+
+
+def was_ended(path: str | Path) -> bool:
+    """Whether a recording has its end: a disk that failed, or a kill, leaves one without."""
+    with Path(path).open("rb") as file:
+        file.seek(max(file.seek(0, os.SEEK_END) - len(MAGIC), 0))
+        return file.read() == MAGIC
 
 
 def card_as_recorded(

@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rotorfit.core.card import Card
-from rotorfit.core.errors import CardError
+from rotorfit.core.errors import CardError, RotorfitError
 from rotorfit.core.log import Sample
 from rotorfit.core.model import Model, Source
 from rotorfit.core.tracked import Track, Tracked
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.flying.links.opening import check_listens, split
 from rotorfit.flying.listening import Listening
+from rotorfit.flying.recorder import was_ended
+from rotorfit.tracking.flight_so_far import UNRECORDED
 from rotorfit.tracking.growing_flight import Part
 from rotorfit.tracking.tracker import Tracker
 
@@ -127,6 +129,7 @@ def with_recordings(track: Track, parts: Sequence[Part]) -> Track:
         track: Its models name spans of the whole flight.
         parts: The recordings of the flight; in each, seconds count from its own first command.
     """
+    parts = [held for part in parts for held in _held(part)]
     digests: dict[str, str] = {}
     for path in {part.path for part in parts}:
         if Path(path).is_file():  # else it was not recorded, or no pose was heard
@@ -145,3 +148,19 @@ def with_recordings(track: Track, parts: Sequence[Part]) -> Track:
 
     regimes = (replace(one, model=known(one.model)) if one.model else one for one in track.regimes)
     return replace(track, regimes=tuple(regimes))
+
+
+def _held(part: Part) -> tuple[Part, ...]:
+    """A part as its file holds it, and the rest, which no file has where a full disk or a kill ended the recording."""
+    from rotorfit.diagnosis.card_choice import card_of
+    from rotorfit.files.logs import read
+    from rotorfit.flights.assemble import flight_from_log
+
+    if not Path(part.path).is_file() or was_ended(part.path):  # a long flight is not read for nothing
+        return (part,)
+    try:
+        log = read(part.path)
+        until = min(part.begin + flight_from_log(log, card_of(log)).span[1], part.end)
+    except RotorfitError:  # it holds no flight
+        until = part.begin
+    return replace(part, end=until), Part(UNRECORDED, until, part.end)
