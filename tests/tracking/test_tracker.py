@@ -11,6 +11,9 @@ from rotorfit.core.errors import CardError, LogError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
+from rotorfit.tracking.following import Following
+from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.replayed import until
 from rotorfit.tracking.tracker import Tracker
 from tracked_flights import LAW, known, known_flight
 
@@ -98,6 +101,29 @@ def test_a_tracker_that_is_finished_again_says_the_same(live: bool) -> None:
             tracker.update(one)
 
     assert tracker.finish() is tracker.finish()
+
+
+def test_a_landing_that_is_not_ours_is_no_wind() -> None:
+    """The table after a flight tells the wind in which it was flown, as from the recording."""
+    growing, samples = GrowingFlight(CARD, origin=0), samples_of(known_flight())
+    for one in samples:
+        growing.add(one)
+    end, last = growing.now, next(one for one in reversed(samples) if one.stream == "pose")
+    growing.add(Sample("obeys", last.stamp, last.stamp, (0.0,)))
+    for n in range(1, 150):
+        x, y, z, *turned = last.values
+        stamp = last.stamp + 20_000_000 * n
+        growing.add(Sample("pose", stamp, stamp, (x, y, z - 0.01 * n, *turned)))
+    flight = growing.flight()
+    assert flight is not None
+    flight = replace(flight, axes=("z",))
+
+    landed, _ = Following(LAW).finish(flight, growing.now)
+    ours, _ = Following(LAW).finish(until(flight, end), end)
+
+    assert landed.time == pytest.approx(end + 3.0, abs=0.1)
+    assert ours.axes["z"].wind is not None
+    assert landed.axes == ours.axes
 
 
 def test_nothing_is_told_before_5_s() -> None:

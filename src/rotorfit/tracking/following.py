@@ -23,6 +23,7 @@ from rotorfit.core.results import Fit
 from rotorfit.core.tracked import UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
+from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.alarms import (
@@ -242,7 +243,8 @@ class Following:
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
         """The final state, after a last fit of each group, and the regimes with their models.
 
-        The model of the last regime is that of the final state.
+        The model of the last regime is that of the final state. Wind and motion are those of the last moment that
+        counts: a vehicle that has landed is held up by the ground, which no command explains either.
 
         Args:
             flight: The whole flight.
@@ -252,7 +254,8 @@ class Following:
         regimes, last = regimes_of(flight, self._bounds, groups, self._structure, now)
         known = {axes: self._groups.get(axes, Group(axes, max(self._since[axis] for axis in axes))) for axes in groups}
         self._groups = {axes: replace(one, fitted=last.get(axes, one.fitted)) for axes, one in known.items()}
-        return replace(self._tracked(flight, now, ()), landed=True), regimes
+        end = flight.segments[-1].end
+        return replace(self._tracked(between(flight, 0.0, end), end, ()), time=now, landed=True), regimes
 
     def _looked(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
         """A group after this look."""
