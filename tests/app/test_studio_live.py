@@ -31,7 +31,7 @@ def test_a_simulated_vehicle_is_followed_and_becomes_a_log(studio: Studio, page:
     assert page.post("/api/live", json=SIM).status_code == 200
     assert session_of(page)["live"]["running"]
     assert page.post("/api/live", json=SIM).status_code == 409
-    until(lambda: studio.follower.feed._lines)
+    until(lambda: studio.follower.feed._count)
     assert page.request("DELETE", "/api/live", json={}).status_code == 200
     until(lambda: not session_of(page)["live"]["running"])
 
@@ -61,7 +61,7 @@ def heard(path: Path) -> None:
 def test_a_recording_outlives_a_studio_that_is_closed_while_it_follows(tmp_path: Path) -> None:
     with opened(tmp_path / "room") as studio:
         assert client_of(studio).post("/api/live", json=SIM).status_code == 200
-        until(lambda: studio.follower.feed._lines)
+        until(lambda: studio.follower.feed._count)
     with opened(tmp_path / "room") as studio:
         (log,) = session_of(client_of(studio))["uploads"]
         assert client_of(studio).get(f"/api/logs/{log['id']}").status_code == 200

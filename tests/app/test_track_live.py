@@ -1,5 +1,6 @@
 """`rotorfit track --link`: what is said, written and served; that it ends well, and goes on after it was killed."""
 
+import asyncio
 import fcntl
 import hashlib
 import json
@@ -23,6 +24,7 @@ from streams import CARD, SECOND, flown
 
 from rotorfit import flight
 from rotorfit.app.cli import main
+from rotorfit.app.live.feed import KEPT, Feed
 from rotorfit.app.live.outlets import Recording
 from rotorfit.app.live.page_server import LivePage
 from rotorfit.app.live.session import track_link
@@ -405,6 +407,22 @@ def test_the_page_shows_all_that_is_told_to_who_has_the_key_alone() -> None:
         assert '"type": "state"' in body
     finally:
         page.close()
+
+
+def test_a_page_that_is_opened_after_an_hour_has_the_alarms_of_the_beginning() -> None:
+    async def opened(seen: int) -> list[str]:
+        events = [event async for event in feed.events(seen)]
+        return [line.removeprefix("data: ") for line in "".join(events).splitlines() if line.startswith("data: {")]
+
+    feed = Feed()
+    for line in (ALARM.to_mapping(), {"type": "gains"}, *({"type": "state", "time": n} for n in range(KEPT + 2))):
+        feed.add(line)
+    feed.over = True
+    told, again = (list(map(json.loads, asyncio.run(opened(seen)))) for seen in (0, KEPT))
+
+    assert [line["type"] for line in told[:3]] == ["alarm", "gains", "state"]
+    assert [line["time"] for line in told[2:]] == list(range(2, KEPT + 2))
+    assert [line["time"] for line in again] == [KEPT - 2, KEPT - 1, KEPT, KEPT + 1]  # a browser that was away
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:

@@ -14,7 +14,7 @@ from rotorfit.app.loopback.files import file_of, static
 from rotorfit.app.loopback.gate import FRAMED
 
 KEPT = 3600
-"""Number of past lines that a page gets when it is opened late."""
+"""Number of past states that a page gets when it is opened late, and of past alarms and gains."""
 
 PERIOD = 0.1
 """Time between two checks for new lines [s]."""
@@ -39,23 +39,24 @@ class Feed:
     def __init__(self, vehicle: str = "") -> None:
         self.over = False
         self._vehicle = json.dumps(vehicle)
-        self._lines: deque[tuple[int, str]] = deque(maxlen=KEPT)
+        self._states, self._others = (deque[tuple[int, str]](maxlen=KEPT) for _ in range(2))
         self._count = 0
 
     def add(self, mapping: dict[str, Any]) -> None:
         """Adds a state, an alarm or new gains, as `rotorfit track --jsonl` prints it."""
-        self._count += 1
-        self._lines.append((self._count, json.dumps(mapping, allow_nan=False)))
+        lines = self._states if mapping["type"] == "state" else self._others  # no state pushes an alarm out
+        lines.append((self._count + 1, json.dumps(mapping, allow_nan=False)))
+        self._count += 1  # only now: who reads meanwhile leaves out none
 
     async def events(self, seen: int) -> AsyncIterator[str]:
         """Events after the last line that the page has seen; a browser that was disconnected resumes from there."""
         quiet = 0.0
         yield f"retry: 1000\n\nevent: vehicle\ndata: {self._vehicle}\n\n"
         while True:
-            over = self.over
-            new = [(number, line) for number, line in list(self._lines) if number > seen]
+            over, count = self.over, self._count
+            new = sorted(one for one in (*self._states, *self._others) if seen < one[0] <= count)
             if new:
-                seen, quiet = new[-1][0], 0.0
+                seen, quiet = count, 0.0
                 yield "".join(f"id: {number}\ndata: {line}\n\n" for number, line in new)
             elif quiet >= BEAT:
                 quiet = 0.0
