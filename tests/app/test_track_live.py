@@ -106,7 +106,7 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path, request: pyt
     request.getfixturevalue("looks_here")
     again = run("--link", "sim", "--for", "3", "--jsonl", "--state", str(memory), *QUICK)
     first = json.loads(again.stdout.splitlines()[0])
-    assert "goes on from" in again.stderr
+    assert f"goes on from {memory}, as the same vehicle; another one, or another payload, needs a" in again.stderr
     assert first["time"] > 12.0
     assert first["axes"]["yaw"]["input"] is not None
 

@@ -406,7 +406,7 @@ def _listened(
             recording = Recording(record, chosen, link) if record else None
             remembering = Remembering(memory, tracker) if memory else None
             if remembering and remembering.recalled:
-                say(f"goes on from {memory}")
+                say(f"goes on from {memory}, as the same vehicle; another one, or another payload, needs a new file")
             if link.startswith("sim"):
                 from rotorfit.flying.links.sim_pilot import NAME
 
