@@ -28,6 +28,9 @@ from rotorfit.planning.belief import DELAY
 TINY = float(np.finfo(float).tiny)
 """Lower limit of the size of a loop whose gain is so small that it counts as zero."""
 
+NEAR = 0.5
+"""Least share of the normal distribution's reach to which the side of a skewed interval narrows it."""
+
 SLOWEST = 0.1
 """Least share of the damping at which a drawn vehicle keeps the total lag: with less, no delay makes up for it."""
 
@@ -129,19 +132,30 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
     counts = rng.multinomial(count, weight / weight.sum()) if len(laws) > 1 else [count]
     known = model.axes[axis]
     beside = known.plain if len(laws) == 1 and laws[0].structure != known.structure else None
-    ci95 = beside.ci95 if beside else known.ci95
+    ci95 = dict(beside.ci95 if beside else known.ci95)
+    if not all("delay" in law.stderr for law in laws):
+        ci95.pop("delay", None)
     reach = _reach(laws, ci95)
     drawn = [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
-    return [one for one in drawn if not _is_excluded(one, ci95)]
+    return [one for one in drawn if not _is_far_out(one, ci95)]
 
 
-def _is_excluded(vehicle: LoopVehicle, ci95: Mapping[str, Interval]) -> bool:
-    """Whether gain or damping have a sign that their interval excludes: a tail of the normal distribution."""
+def _is_far_out(vehicle: LoopVehicle, ci95: Mapping[str, Interval]) -> bool:
+    """Whether gain, damping or delay lie so far beyond their intervals that only a normal distribution goes there.
+
+    That is beyond twice or half an end, or with the other sign; of the delay, by more than the width of its interval.
+    """
     for name, value in (("input", vehicle.gain), ("damping", vehicle.damping)):
         low, high = ci95.get(name, (None, None))
-        if (low is not None and value <= 0 < low) or (high is not None and high < 0 <= value):
+        near, far = (high, low) if high is not None and high < 0 else (low, high)
+        if near is None or (near is low and near <= 0):  # the interval has both signs
+            continue
+        if value / near < 0.5 or (far is not None and value / far > 2):
             return True
-    return False
+    least, most = ci95.get("delay", (None, None))
+    if least is None or most is None:
+        return False
+    return not 2 * least - most <= vehicle.delay <= max(most, 0.0) + most - least  # a delay below 0 is drawn as 0
 
 
 def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
@@ -183,7 +197,7 @@ def _value(law: Weighed, name: str) -> float:
 
 
 def _further(known: Sequence[tuple[float, float]], end: float | None, side: float) -> float:
-    """The end of an interval over that of the normal distribution that reaches furthest to its side; at least 1.
+    """The end of an interval over that of the normal distribution that reaches furthest to its side; at least `NEAR`.
 
     Args:
         known: Estimate and standard error under each law.
@@ -193,7 +207,7 @@ def _further(known: Sequence[tuple[float, float]], end: float | None, side: floa
     if end is None or not known:
         return 1.0
     point, error = max(known, key=lambda one: side * one[0] + NORMAL * one[1])
-    return max(side * (end - point) / (NORMAL * error), 1.0)
+    return max(side * (end - point) / (NORMAL * error), NEAR)
 
 
 def _drawn(
@@ -201,14 +215,18 @@ def _drawn(
 ) -> list[LoopVehicle]:
     """Vehicles drawn from the distribution of one law, further out to the sides that `reach` names.
 
-    Of the delay, its sum with what else makes the answer late, and the total lag, the data may tell one much better
-    than the others. The best known keeps its distribution where others are far out, and the delay is what is left.
+    Of gain and steady gain, and of the delay, its sum with what else makes the answer late, and the total lag, the data
+    may tell one much better than the others. The best known keeps its distribution where others are far out, and the
+    gain, or the delay, is what is left.
     """
     structure, point = structure_named(law.structure), law.predictor
     names = ("input", "damping", "delay", *point.extra)
     usual, further = ({**dict.fromkeys(names, np.zeros(count)), **each} for each in _errors(law, count, rng, reach))
     b = point.damping
-    gain, damping = point.input + further["input"], b + further["damping"]
+    damping, relative = b + further["damping"], usual["input"] / point.input
+    steady = relative - usual["damping"] / b
+    kept = np.std(steady) < np.std(relative)
+    gain = damping * point.input / b * np.exp(steady) if kept else point.input + further["input"]
     late, extra = np.zeros((2, count)), {}  # what makes the answer late besides the delay: to first order, and as drawn
     for one in structure.extras:
         value = point.extra[one.name]
@@ -221,9 +239,10 @@ def _drawn(
     delay = point.delay + off["delay"] + rest[0] - rest[1]
     if "delay" not in law.stderr:
         delay = rng.normal(*DELAY, count)
+    early = np.minimum(delay, 0.0)  # no vehicle moves before its command: then a lag is shorter, or a zero larger
     for one in structure.extras:
-        if one.place == ZERO:  # no vehicle moves before its command: then it is the zero that makes the answer early
-            extra[one.name] = np.minimum(extra[one.name] - np.minimum(delay, 0.0), one.high)
+        if one.place == ZERO or (one.place == LAG and structure.order == 1):
+            extra[one.name] = np.clip(extra[one.name] + (early if one.place == LAG else -early), one.low, one.high)
     drawn = []
     for g, b, tau, *others in np.column_stack([gain, damping, delay, *extra.values()]).tolist():
         drawn.append(loop_vehicle(structure, Predictor(g, b, tau, dict(zip(extra, others, strict=True)))))
