@@ -111,14 +111,15 @@ def known_vehicle(model: Model, axis: str) -> LoopVehicle:
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[LoopVehicle]:
     """Vehicles drawn for an axis from the model: laws by their weights, parameters by their normal distributions.
 
-    Where an interval reaches further to a side than the standard error does, that side is drawn wider. No delay is
-    below 0; one that the model does not know is drawn as that of commercial quadrotors, `belief.DELAY`. An axis whose
-    law has no margins of its own is drawn under the first-order law beside them.
+    Where an interval reaches further to a side than the standard error does, that side is drawn wider; what lies far
+    beyond the intervals is left out. No delay is below 0; one that the model does not know is drawn as that of
+    commercial quadrotors, `belief.DELAY`. An axis whose law has no margins of its own is drawn under the first-order
+    law beside them.
 
     Args:
         model: From a fit.
         axis: Name of the axis.
-        count: Number of vehicles.
+        count: Number of vehicles, some of which are left out.
         seed: Seed of the draws.
 
     Raises:
@@ -137,7 +138,7 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
         ci95.pop("delay", None)
     reach = _reach(laws, ci95)
     drawn = [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
-    return [one for one in drawn if not _is_far_out(one, ci95)]
+    return [one for one in drawn if not _is_far_out(one, ci95)] or drawn
 
 
 def _is_far_out(vehicle: LoopVehicle, ci95: Mapping[str, Interval]) -> bool:
@@ -180,7 +181,7 @@ def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
 
 
 def _reach(laws: Sequence[Weighed], ci95: Mapping[str, Interval]) -> dict[str, tuple[float, float]]:
-    """How much further than the laws' normal distributions the interval of each parameter reaches down, and up.
+    """How far the interval of each parameter reaches down, and up, over the laws' normal distributions.
 
     Profiles of input and damping are skewed where a flight tells little. What another law accounts for is no skew.
     """
