@@ -86,8 +86,13 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
         ModelError: The axis was not excited.
     """
     law = first_order(model, axis)
-    point, known = law.predictor, "delay" in law.stderr or not law.stderr
-    return AxisBelief(point.input, point.damping, max(point.delay, 0.0) if known else 0.0)
+    point = law.predictor
+    return AxisBelief(point.input, point.damping, max(point.delay, 0.0) if _knows_the_delay(law) else 0.0)
+
+
+def _knows_the_delay(law: Weighed) -> bool:
+    """Whether a law has an error of the delay; one without any errors is taken at its word."""
+    return "delay" in law.stderr or not law.stderr
 
 
 def known_vehicle(model: Model, axis: str) -> LoopVehicle:
@@ -104,8 +109,8 @@ def known_vehicle(model: Model, axis: str) -> LoopVehicle:
     own = loop_vehicle(structure_named(model.axes[axis].structure), point)
     if own:
         return own
-    law, plain = first_order(model, axis), known_dynamics(model, axis)
-    return plain if "delay" in law.stderr or not law.stderr else plain._replace(delay=DELAY[0])
+    plain = known_dynamics(model, axis)
+    return plain if _knows_the_delay(first_order(model, axis)) else plain._replace(delay=DELAY[0])
 
 
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[LoopVehicle]:

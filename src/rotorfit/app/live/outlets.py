@@ -52,6 +52,10 @@ class Outlet(Protocol):
         """Ends the outlet."""
 
 
+MOST_WAITING = 1000
+"""Number of samples that wait for the first pose: commands of a vehicle that nobody sees are no flight."""
+
+
 class Recording:
     """An MCAP file that `fit` reads, with states and alarms beside the samples.
 
@@ -74,6 +78,8 @@ class Recording:
         self._waiting += samples
         if self._recorder is None:
             self._poses += [one for one in samples if one.stream == "pose"]
+            if not self._poses:
+                del self._waiting[:-MOST_WAITING]
             if len(self._poses) < STRANGE or self._poses[-1].received - self._poses[0].received < 1e9 * LASTING:
                 return
             self._recorder = self._begun(now)
