@@ -47,8 +47,8 @@ from rotorfit.app.workflows import (
     training_flights,
     validate_logs,
 )
+from rotorfit.assessment.innovations import residuals
 from rotorfit.assessment.method_comparison import to_mapping as ladder_mapping
-from rotorfit.assessment.validation import residuals
 from rotorfit.assessment.validation import to_mapping as validation_mapping
 from rotorfit.control.trial import scores_mapping, try_tuning
 from rotorfit.control.tuning import tune

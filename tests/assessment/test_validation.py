@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from flights import CARD, by_hand, fit_as_flown, flown, recorded, steps
-from rotorfit.assessment.validation import dynamics_from_model, residuals, to_mapping, validate
+from rotorfit.assessment.innovations import residuals
+from rotorfit.assessment.validation import dynamics_from_model, to_mapping, validate
 from rotorfit.core.errors import FlightError
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Segment

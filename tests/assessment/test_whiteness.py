@@ -8,7 +8,8 @@ import pytest
 
 from flights import flown, steps
 from other_laws import flown_by
-from rotorfit.assessment.validation import parameter_covariance, residual_tests_of_flight, residuals, validate
+from rotorfit.assessment.innovations import parameter_covariance, residual_tests_of_flight, residuals
+from rotorfit.assessment.validation import validate
 from rotorfit.assessment.whiteness import (
     autocorrelation,
     cross_correlation,

@@ -8,7 +8,8 @@ import pytest
 
 from flights import flown, steps
 from other_laws import DELAY, LAG, TRUTH, B, G, flown_by
-from rotorfit.assessment.validation import residuals, validate
+from rotorfit.assessment.innovations import residuals
+from rotorfit.assessment.validation import validate
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY, START_LEVELS, STRUCTURES, structure_named

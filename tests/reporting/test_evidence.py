@@ -7,8 +7,9 @@ import pytest
 from test_views import flown, known_axis, known_model
 
 from rotorfit.assessment.evidence import correlograms
+from rotorfit.assessment.innovations import residuals
 from rotorfit.assessment.rows import HorizonErrors, coefficient_rows, scores_of
-from rotorfit.assessment.validation import residuals, validate
+from rotorfit.assessment.validation import validate
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.frequency_response import FrequencyResponse, ResponseComparison

@@ -10,14 +10,9 @@ import numpy as np
 
 from rotorfit.assessment.case import Case, paired_cases
 from rotorfit.assessment.frequency.comparison import response_test
+from rotorfit.assessment.innovations import parameter_covariance, residual_tests_of_flight, residuals
 from rotorfit.assessment.rows import CoefficientRow, HorizonErrors, coefficient_rows, scores_of
-from rotorfit.assessment.validation import (
-    dynamics_from_model,
-    paper_dynamics,
-    parameter_covariance,
-    residual_tests_of_flight,
-    residuals,
-)
+from rotorfit.assessment.validation import dynamics_from_model, paper_dynamics
 from rotorfit.assessment.whiteness import LEAST_BLOCKS, autocorrelation, cross_correlation
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
