@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from rotorfit.app.first_use import FITTING, VALIDATION, compile_beforehand
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.case import UNPROVEN, Case, same_motion
+from rotorfit.assessment.innovations import placed
 from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.assessment.method_comparison import Ladder, ladder
 from rotorfit.assessment.mismatch import beginning
@@ -239,7 +240,7 @@ def validate_logs(
     own = card_from_mapping(model.card.raw, "the model's card")
     chosen = load_card(card) if isinstance(card, str) else card
     flown = [_with_errors(*one) for one in _all_flown(logs, chosen, own, progress)]
-    flights = tuple(without_held_axes(flown, beside))
+    flights = tuple(placed(model, flight) for flight in without_held_axes(flown, beside))
     return validate(model, flights, horizons, progress), flights
 
 
@@ -411,7 +412,7 @@ def training_flights(model: Model) -> tuple[tuple[Flight, ...], tuple[str, ...]]
             left_out.append(f"training flight left out: {error}")
             continue
         if flight.sha256 == source.sha256:
-            flights.append(flight)
+            flights.append(placed(model, flight))
         else:
             left_out.append(f"training flight left out: {source.path} is not the file that the model was fitted to")
     return tuple(flights), tuple(left_out)

@@ -12,9 +12,10 @@ from rotorfit.core.frames import AXES, Array, heading_from_world
 from rotorfit.core.laws import FIRST_ORDER_DELAY, LEVELS_OF, Structure, structure_named
 from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.core.residuals import Innovations, ResidualTests
+from rotorfit.estimation.clock_placement import answer_placed, delays, placed_by, with_own
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, record
-from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.likelihood import whiten
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
@@ -59,7 +60,7 @@ def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[st
     """
     out: dict[str, Residuals] = {}
     for rec in _records(model, flight):
-        out |= _residuals_of(model, flight, rec, _explained(model, rec, own_levels))
+        out |= _residuals_of(model, flight, rec, _explained(model, flight, rec, own_levels))
     return out
 
 
@@ -73,7 +74,7 @@ def _tests_of_record(model: Model, flight: Flight, rec: Record) -> dict[str, Res
     """`residual_tests_of_flight` for the axes of one record."""
     found: dict[str, ResidualTests] = {}
     fitted = was_fitted(model, flight)
-    own, at_fitted = _explained(model, rec, own_levels=True), _explained(model, rec, own_levels=False)
+    own, at_fitted = (_explained(model, flight, rec, levels) for levels in (True, False))
     for axis, each in _residuals_of(model, flight, rec, own).items():
         if axis not in flight.moved:
             continue
@@ -131,8 +132,8 @@ def _points(model: Model, rec: Record) -> list[Predictor]:
     return [model.axes[axis].predictor or Predictor(0.0, 1.0, 0.0) for axis in rec.axes]
 
 
-def _explained(model: Model, rec: Record, own_levels: bool) -> Optimum:
-    """The model's coefficients with the flight's own trim and start, and with its own levels if requested."""
+def _expected(model: Model, rec: Record) -> Point:
+    """The model's coefficients and levels, without trim, and with the velocities that the flight starts with."""
     points = _points(model, rec)
     levels = np.log([[model.axes[axis].noise[level] for level in LEVELS_OF[rec.measured]] for axis in rec.axes])
     start = replace(
@@ -141,10 +142,33 @@ def _explained(model: Model, rec: Record, own_levels: bool) -> Optimum:
         log_damping=np.log([max(point.damping, 1e-3) for point in points]),
         delay=np.array([point.delay for point in points]),
     )
-    start = _with_structures(start, [model.axes[axis].structure for axis in rec.axes], points)
-    free = np.zeros(start.flat().size, bool)
-    free[start.coefficients : None if own_levels else start.n] = True
-    return maximise([rec], start, free)
+    return _with_structures(start, [model.axes[axis].structure for axis in rec.axes], points)
+
+
+def _explained(model: Model, flight: Flight, rec: Record, own_levels: bool) -> Optimum:
+    """The model's coefficients with the flight's own trim and start, and with its own levels if requested.
+
+    Where clocks do not tell the delays, these are the flight's own, too.
+    """
+    expected = _expected(model, rec)
+    return with_own(rec, expected, delays(rec, expected) if unclocked(model, flight) else (), own_levels)
+
+
+def placed(model: Model, flight: Flight) -> Flight:
+    """The flight; moved to where it answers as the model says where clocks do not tell its delay, or the model's."""
+    if not unclocked(model, flight):
+        return flight
+
+    def expected(moved: Flight) -> Iterator[tuple[Record, Point]]:
+        commanded = (rec for rec in _records(model, moved) if set(rec.axes) & set(moved.moved))
+        return ((rec, _expected(model, rec)) for rec in commanded)
+
+    return placed_by(flight, expected)
+
+
+def unclocked(model: Model, flight: Flight) -> bool:
+    """Whether the delays of model and flight cannot be compared, as only answers to commands relate the clocks."""
+    return answer_placed([flight]) or any(finding.code == "clock_includes_delay" for finding in model.findings)
 
 
 def _residuals_of(model: Model, flight: Flight, rec: Record, best: Optimum) -> dict[str, Residuals]:
@@ -160,7 +184,7 @@ def _residuals_of(model: Model, flight: Flight, rec: Record, best: Optimum) -> d
             best.score.innovations[0][:, k],
             explained[:, k],
             _past(flight, AXES.index(axis), rec.block_time),
-            _sensitivity(rec, rows[:, :, k], best.point, k),
+            _sensitivity(rec, rows[:, :, k], best, k),
         )
         for k, axis in enumerate(rec.axes)
         if model.axes[axis].predictor
@@ -180,19 +204,19 @@ def _past(flight: Flight, k: int, time: Array) -> Array:
     return out
 
 
-def _sensitivity(rec: Record, rows: Array, point: Point, k: int) -> Array:
-    """Whitened sensitivities to the parameters of `parameter_covariance`, minus what trim and start can absorb, (B, P).
+def _sensitivity(rec: Record, rows: Array, best: Optimum, k: int) -> Array:
+    """Whitened sensitivities to the parameters of `parameter_covariance`, minus what the flight's own absorb, (B, P).
 
     Args:
         rec: The flight.
         rows: Whitened sensitivities of the axis, d/d(g, log b, tau, further parameters, c, v0), K columns each.
-        point: Its laws are those of the axes.
+        best: Its free parameters are the flight's own: trim and start, and the delays where clocks do not tell them.
         k: Index of the axis among the K.
     """
-    K = len(rec.axes)
+    K, point = len(rec.axes), best.point
     starts = [rows[:, -K:] * (rec.segment == number)[:, None] for number in range(rec.starts.size)]
     own = rows[:, [point.place(name, k) for name in (*COEFFICIENTS, *point.extra_values(k))]]
-    others = np.hstack([rows[:, -2 * K : -K], *starts])
+    others = np.hstack([rows[:, np.flatnonzero(best.free[: point.coefficients])], rows[:, -2 * K : -K], *starts])
     return np.asarray(own - others @ np.linalg.lstsq(others, own)[0])
 
 

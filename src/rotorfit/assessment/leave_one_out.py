@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.assessment.innovations import placed
 from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.validation import validate
 from rotorfit.core.errors import FlightError
@@ -68,7 +69,7 @@ def leave_one_out(
         if progress:
             progress(number / len(flights), f"all but {flight.path}")
         model = fit([*flights[:number], *flights[number + 1 :]], method, axes, structure=structure).model
-        validation = validate(model, [flight], horizons)
+        validation = validate(model, [placed(model, flight)], horizons)
         models.append(model)
         scores.append({"model": validation.flights[0], **{name: b[0] for name, b in validation.baselines.items()}})
         errors.append({name: each[0] for name, each in validation.errors.items()})

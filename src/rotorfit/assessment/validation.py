@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
-from rotorfit.assessment.innovations import residual_tests_of_flight, was_fitted
+from rotorfit.assessment.innovations import residual_tests_of_flight, unclocked, was_fitted
 from rotorfit.assessment.mismatch import findings_of_mismatch
 from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.whiteness import findings_of_residuals
@@ -127,6 +127,7 @@ def validate(
             for axes, wrong in zip(responses, touched, strict=True)
         ]
     )
+    found += [_delay_not_tested(flight) for flight in flights if unclocked(model, flight)]
     found = [*(one for each in misread for one in each), *sorted(found, key=lambda finding: finding.severity == "info")]
     return Validation(
         flights=tuple(scores["model"]),
@@ -137,6 +138,18 @@ def validate(
         findings=tuple(found),
         responses=responses,
         bands=tuple(bands),
+    )
+
+
+def _delay_not_tested(flight: Flight) -> Finding:
+    return Finding(
+        "delay_not_tested",
+        "info",
+        f"{flight.path}: only the answers to commands relate the clocks of this flight, or of those that were fitted, "
+        "so the commands stand where they are answered as the model says",
+        "whether the delay is that of the model, this flight cannot tell",
+        "record the vehicle's own velocity or heading beside the commands and name it in the card, or write "
+        'clock = "one" there if the clocks are one',
     )
 
 

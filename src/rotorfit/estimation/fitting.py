@@ -16,6 +16,7 @@ from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Outliers, PaperFit
 from rotorfit.diagnosis.position_loop import MotionOf, restored_axes
 from rotorfit.dynamics.kinematics import motion_from_flight
+from rotorfit.estimation.clock_placement import placed_alike
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
 from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes
 from rotorfit.estimation.identifiability import LEAST_TIME
@@ -93,6 +94,7 @@ def fit(
     flights = [align_velocity(f, axes) for f in flights] if method == "ml" else _of_poses(flights, method, axes)
     priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
+    flights = placed_alike(flights, lambda some: _estimates(some, wanted))
     report = progress or (lambda _fraction, _text: None)
     outliers: Outliers = ()
     if method == "robust":

@@ -1,0 +1,113 @@
+"""Flights whose clocks only their answers relate: moved to answer alike, and to answer as a model says."""
+
+import functools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flights import steps
+from rotorfit.assessment.innovations import placed, residual_tests_of_flight
+from rotorfit.assessment.validation import validate
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.results import Fit
+from rotorfit.estimation.clock_placement import placed_alike
+from rotorfit.estimation.fitting import fit
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.clocks.placement import with_later_commands
+from rotorfit.simulation.paper_vehicle import SimulatedFlight, Truth, simulate_flight
+from twin_logs import Skew, as_one, card_of
+
+pytestmark = pytest.mark.flights
+
+TRUTH = Truth(delay=(0.12, 0.15, 0.1, 0.14))
+OFFSETS = 0.4, -1.3
+WRONG = 0.07
+
+
+@functools.cache
+def flown(day: int) -> SimulatedFlight:
+    return simulate_flight(TRUTH, steps(seed=40 + day), 45.0, 40 + day, initial_yaw=2.0 * day)
+
+
+@functools.cache
+def read(day: int, clock: str = "two") -> Flight:
+    skew = Skew(OFFSETS[day] if clock == "two" else 0.0)
+    log = replace(as_one(flown(day), skew), path=Path(f"c{day}.csv+m{day}.csv"))
+    return flight_from_log(log, card_of(velocity=False, clock=clock) if clock == "one" else card_of(velocity=False))
+
+
+@functools.cache
+def alone() -> Fit:
+    """A fit of the first day."""
+    return fit([read(0)])
+
+
+def misplaced() -> Flight:
+    """The second day, placed worse than the worst of a hundred."""
+    return with_later_commands(read(1), WRONG, "no other flight")
+
+
+def offset_errors(flights: list[Flight] | tuple[Flight, ...]) -> list[float]:
+    """By how much the clock of each flight was taken to be later than it is, less the delay that this includes [s]."""
+    return [flight.clocks.offset - offset for flight, offset in zip(flights, OFFSETS, strict=True) if flight.clocks]
+
+
+def test_flights_together_are_placed_alike_and_their_intervals_hold() -> None:
+    result = fit([read(0), misplaced()])
+    one, other = offset_errors(result.flights)
+    assert one == pytest.approx(other, abs=5e-4)
+    assert sum("clocks_placed" in {note.code for note in flight.notes} for flight in result.flights) == 2
+    inside = [
+        low < truth < high
+        for axis, pair in zip(AXES, np.reshape(TRUTH.gamma, (4, 2)), strict=True)
+        for name, truth in zip(("input", "damping"), pair, strict=True)
+        if None not in (ends := result.model.axes[axis].ci95[name])
+        for low, high in [ends]
+    ]
+    assert len(inside) == 8
+    assert sum(inside) >= 7
+    assert all(result.model.axes[axis].delay is None for axis in AXES)
+
+
+def test_a_flight_is_placed_by_a_model_which_it_does_not_deny_then() -> None:
+    moved = placed(alone().model, misplaced())
+    one, other = offset_errors((read(0), moved))
+    assert one == pytest.approx(other, abs=2e-3)
+    p = [each.command_p for each in residual_tests_of_flight(alone().model, moved).values()]
+    assert len(p) == 4
+    assert min(x for x in p if x is not None) > 0.001
+    result = validate(alone().model, [moved])
+    assert not [one for one in result.findings if one.severity == "warning"]
+
+
+def test_validation_tells_that_such_a_flight_does_not_test_the_delay() -> None:
+    found = validate(alone().model, [placed(alone().model, read(1))]).findings
+    (told,) = (one for one in found if one.code == "delay_not_tested")
+    assert told.severity == "info"
+    assert told.evidence.startswith("c1.csv+m1.csv")
+    exact = fit([read(0, "one")]).model
+    assert "delay_not_tested" not in {one.code for one in validate(exact, [read(1, "one")]).findings}
+
+
+def test_errors_of_the_placement_do_not_count_as_errors_of_the_model() -> None:
+    model = alone().model
+    near, far, raw = (
+        [validate(model, [f]).flights[0].axes[axis].horizons["1"].velocity_rmse or np.nan for axis in AXES]
+        for f in (placed(model, read(1)), placed(model, misplaced()), misplaced())
+    )
+    assert far == pytest.approx(near, rel=0.02)
+    assert np.min(np.divide(raw, near)) > 3
+
+
+def test_flights_of_one_clock_stay_as_they_are() -> None:
+    flights = [read(0, "one"), read(1, "one")]
+    assert placed_alike(flights, lambda _some: pytest.fail("nothing is to be estimated")) == flights
+    exact = fit(flights[:1]).model
+    assert placed(exact, flights[1]) is flights[1]
+
+
+def test_a_flight_alone_is_not_moved() -> None:
+    assert placed_alike([read(0)], lambda _some: pytest.fail("nothing is to be estimated")) == [read(0)]
