@@ -11,7 +11,8 @@ from rotorfit.assessment.constancy import LEVEL, Constancy, changed_coefficients
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
-from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import GAMMA_B, STABLE, Truth
 
 TRUTH = replace(Truth(), stale_share=0.0)
 
@@ -95,3 +96,12 @@ def test_x_and_y_of_a_vehicle_that_turns_are_tested_together() -> None:
     for one, expected in ((turning, []), (changed, ["x"])):
         result = fit([one], axes=("x", "y"), structure="first_order_delay")
         assert [finding.axis for axis in ("x", "y") for finding in changed_coefficients(result, axis)] == expected
+
+
+def test_halves_that_slow_commands_let_wander_along_a_curve_are_not_told_as_a_change() -> None:
+    truth = Truth(gamma=list(STABLE.values())[2], delay=(0.2,) * 4)
+    _, found = checked(flown(truth, two_sines, 60.0, 64), flown(truth, steps(seed=7), 50.0, 65))
+
+    gains = [part.theta[0] for part in found.parts]
+    assert max(gains) > 2 * min(gains)  # far apart, by errors that hold only near each
+    assert found.probability > 0.01
