@@ -1,6 +1,6 @@
 """Flights -> Fit: coefficients with intervals, statuses and profiles, by one of the methods in `METHODS`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,7 +33,7 @@ from rotorfit.estimation.likelihood.coefficients import (
 from rotorfit.estimation.likelihood.extra_parameters import separable, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import on_stretches
 from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, both_axes, delay_error
-from rotorfit.estimation.likelihood.law_average import averaged, families
+from rotorfit.estimation.likelihood.law_average import WITH_LOOP, averaged, families
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
 from rotorfit.estimation.likelihood.noise_levels import with_levels
 from rotorfit.estimation.likelihood.outliers import without_outliers
@@ -111,14 +111,37 @@ def fit(
         found, parts[axis] = (
             (_with_axis(found, apart, axis), some) if _gain_known(apart, axis) else (found, list(flights))
         )
+    model = _published(flights, method, paper, found, parts)
+    if structure == AVERAGED and (doubted := _contradicted_without_loop(model, set(wanted) - parts.keys())):
+        report(0.95, f"{' and '.join(doubted)} with a velocity loop")
+        plane, loops = [axis for axis in wanted if axis in ("x", "y")], (*WITH_LOOP, *doubted)
+        apart = _found(flights, plane, method, structure, priors, paper, lambda _fraction, _text: None, loops=loops)
+        for axis in doubted:
+            found = _with_axis(found, apart, axis)
+        model = _published(flights, method, paper, found, parts)
     report(1.0, "done")
+    braked = {axis: (test, _duration(parts[axis])) for axis, test in tested.items()}
+    return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers, braked)
+
+
+def _published(
+    flights: Sequence[Flight],
+    method: str,
+    paper: PaperFit,
+    found: "_Found",
+    parts: Mapping[str, Sequence[Flight]],
+) -> Model:
+    """The model of the results, judged; `parts` are the flights of axes that were fitted while they are commanded."""
     serving = {
         axis: serving_flights(parts.get(axis, flights), e.records[0].axes) for axis, e in found.estimates.items()
     }
     model = _of_the_vehicle(_model(flights, method, paper, found), found.estimates, flights, serving)
-    model = _with_plain(model, found.plain, flights, serving)
-    braked = {axis: (test, _duration(parts[axis])) for axis, test in tested.items()}
-    return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers, braked)
+    return _with_plain(model, found.plain, flights, serving)
+
+
+def _contradicted_without_loop(model: Model, axes: Collection[str]) -> list[str]:
+    """Which of these axes have laws without a velocity loop only, and tests contradict them."""
+    return [axis for axis in AXES if axis in axes and axis not in WITH_LOOP and model.axes[axis].evidence]
 
 
 def _duration(flights: Sequence[Flight]) -> float:
@@ -218,13 +241,14 @@ def _found(
     paper: PaperFit,
     report: Progress,
     motion_of: MotionOf = motion_from_flight,
+    loops: Sequence[str] = WITH_LOOP,
 ) -> _Found:
-    """Fits the requested axes, group by group."""
+    """Fits the requested axes, group by group; `loops` are those that may have a velocity loop."""
     groups, parts = groups_of(flights, wanted), list[_Found]()
 
     def found_of(group: Sequence[str]) -> _Found:
         if METHODS[method].likelihood:
-            return _likelihood_group(flights, group, priors, structure, motion_of)
+            return _likelihood_group(flights, group, priors, structure, motion_of, loops)
         if METHODS[method].estimator:
             return _regression_group(flights, group, method)
         return _paper_group(flights, group, paper)
@@ -326,12 +350,17 @@ def _motion_of(flights: Sequence[Flight], paper: PaperFit) -> MotionOf:
 
 
 def _likelihood_group(
-    flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str, motion_of: MotionOf
+    flights: Sequence[Flight],
+    group: Sequence[str],
+    priors: Priors,
+    structure: str,
+    motion_of: MotionOf,
+    loops: Sequence[str],
 ) -> _Found:
     """The axes of one group by the likelihood, under the requested structure."""
     estimates = estimate_group(flights, group, priors, motion_of)
     if structure == AVERAGED and estimates:
-        return _averaged(flights, group, estimates, priors)
+        return _averaged(flights, group, estimates, priors, loops)
     axes, covariance = _group_axes(flights, group, estimates)
     if structure == STRUCTURE or not estimates:
         return _Found(axes, covariance, estimates)
@@ -339,10 +368,14 @@ def _likelihood_group(
 
 
 def _averaged(
-    flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate], priors: Priors
+    flights: Sequence[Flight],
+    group: Sequence[str],
+    estimates: Mapping[str, Estimate],
+    priors: Priors,
+    loops: Sequence[str],
 ) -> _Found:
     """The axes of a group under the default laws, with the first-order law beside them."""
-    known = families(serving_flights(flights, group), estimates, priors)
+    known = families(serving_flights(flights, group), estimates, priors, loops)
     chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
         said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]

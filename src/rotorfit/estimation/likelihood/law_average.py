@@ -31,7 +31,8 @@ LAGGED, LED = STRUCTURES["first_order_delay_lag"], STRUCTURES["second_order_zero
 """The laws of the family besides the first-order law with a delay."""
 
 WITH_LOOP = ("z", "yaw")
-"""Axes that may have a velocity loop."""
+"""Axes that have a velocity loop on most vehicles. Autopilots in velocity mode fly x and y by one, too: on these, `fit`
+tries the law where tests contradict the others."""
 
 FAST = np.log([100.0, 0.05])
 """Logarithms of damping [1/s] and overlap of a fast disturbance."""
@@ -86,12 +87,15 @@ class Family:
 
 
 def families(
-    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
+    serving: Sequence[Flight],
+    estimates: Mapping[str, Estimate],
+    priors: Mapping[str, Mapping[str, Prior]],
+    loops: Sequence[str] = WITH_LOOP,
 ) -> dict[str, Family]:
     """The default laws of the axes of one group; arguments as for `default_laws`."""
     return {
         axis: _family(serving, plain, richer)
-        for axis, (plain, *richer) in default_laws(serving, estimates, priors, _cannot_hold).items()
+        for axis, (plain, *richer) in default_laws(serving, estimates, priors, _cannot_hold, loops).items()
     }
 
 
@@ -119,6 +123,7 @@ def default_laws(
     estimates: Mapping[str, Estimate],
     priors: Mapping[str, Mapping[str, Prior]],
     hopeless: Callable[[Estimate, Estimate], bool] = lambda _plain, _richer: False,
+    loops: Sequence[str] = WITH_LOOP,
 ) -> dict[str, tuple[Estimate, ...]]:
     """The maximum of every default law that an axis may have, the first-order law with a delay first.
 
@@ -128,6 +133,7 @@ def default_laws(
         priors: Priors of the card by axis and coefficient; empty to use none.
         hopeless: Whether the climb of a law, compared with the first-order law, is given up; the law stays where its
             climb stood. A law from which another starts is always climbed, and so is one beside a law that may hold.
+        loops: Axes that may have a velocity loop.
     """
 
     def prior_of(axes: Sequence[str], structures: Sequence[Structure]) -> GaussianPrior | None:
@@ -144,9 +150,14 @@ def default_laws(
     out: dict[str, tuple[Estimate, ...]] = {}
     for axis, plain in estimates.items():
         out[axis] = (plain, lagged[axis]) if plain.excited else (plain,)
-        if plain.excited and axis in WITH_LOOP:
+        if plain.excited and axis in loops:
             alone = hopeless(plain, lagged[axis])  # a law that holds is weighed by the innovations of the likeliest one
-            out[axis] += (_led(axis, lagged[axis], plain, prior_of, given_up if alone else never),)
+            climbed = given_up if alone else never
+            if plain.optimum.point.gain.size == 1:
+                out[axis] += (_led(axis, lagged[axis], plain, prior_of, climbed),)
+            else:
+                laws = {other: LED if other == axis else LAGGED for other in group}
+                out[axis] += (estimate_laws(serving, estimates, laws, prior_of, climbed)[axis],)
     return out
 
 
