@@ -97,8 +97,32 @@ def test_a_flight_that_ends_early_is_one_line_with_the_path_of_the_log(tmp_path:
     assert result.exit_code == 1
     (line,) = result.stderr.splitlines()
     assert line.startswith("Error: ended early, after ")
-    assert line.endswith(f"too fast: 0.10 m/s, the limit is 0.1 m/s; the log so far: {output}")
+    assert line.endswith(f"too fast: 0.10 m/s, the limit is 0.1 m/s; the vehicle lands; the log so far: {output}")
     assert read(output).events[-1].text == "landing"
+
+
+@pytest.mark.parametrize("words", [[], ["--json"]])
+def test_a_flight_that_ends_early_tells_that_the_vehicle_does_not_land(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    link = Watched(room_link())
+    monkeypatch.setattr(link, "act", refusing_to_land)
+    monkeypatch.setattr("rotorfit.flying.mission.open_link", lambda *_: link)
+    plan = saved(tmp_path, replace(plan_of(8.0, amplitude=1.0), space=replace(SPACE, speed=0.1)))
+    result = rotorfit("fly", plan, "--link", "sim", "-o", tmp_path / "flight.mcap", *words)
+
+    assert result.exit_code == 1
+    *notes, line = result.stderr.splitlines()
+    assert notes == ["it is denied", "the link did not take the order to land: land by other means"]
+    assert "; the vehicle does not land; the log so far: " in line
+    if words:
+        told = json.loads(result.stdout)
+        assert (told["reason"], told["landed"], told["notes"]) == ("speed", False, notes)
+
+
+def refusing_to_land(action: str) -> None:
+    if action == "land":
+        raise LinkError("it is denied")
 
 
 def test_what_must_not_be_flown_is_refused_before_anything_is_written(tmp_path: Path) -> None:
@@ -183,7 +207,9 @@ def test_an_approach_that_fails_ends_before_the_plan_began(tmp_path: Path) -> No
         "start", "the start was not reached", 0.0, Jitter(0.0, 0.0, 0.0), 0, 9, 9, 0, True, tmp_path / "f.mcap"
     )
 
-    assert ended_early(flown).startswith("ended early, before the plan began: the start was not reached; the log so ")
+    assert ended_early(flown).startswith(
+        "ended early, before the plan began: the start was not reached; the vehicle lands; "
+    )
     assert ended_early(replace(flown, duration=1.04)).startswith("ended early, after 1.0 s of the plan: ")
 
 

@@ -160,16 +160,24 @@ def fly(
             _show_last(beside)
         if missed := changes_missed(link, wanted.link.now):
             click.echo(f"{link}: {missed}", err=True)
-    if result.reason != "completed":
-        raise LinkError(ended_early(result))
+    completed = result.reason == "completed"
     try:
         if as_json:
-            return print_json(flown_mapping(result, wanted.ready, wanted.link.live))
-        show(flown_view(result, wanted.link.live))
-        return click.echo(f"\nNext: {next_command([str(output)])}")
+            print_json(flown_mapping(result, wanted.ready, wanted.link.live))
+        elif completed:
+            show(flown_view(result, wanted.link.live))
+            click.echo(f"\nNext: {next_command([str(output)])}")
+        told = completed
     except BrokenPipeError:
         silence()
-        return click.echo(f"Nobody reads the output any more. Flown: {result.text}; the log: {output}", err=True)
+        told = False
+    if not told:  # a vehicle that does not land must not go unnoticed
+        for note in result.notes:
+            click.echo(note, err=True)
+    if not completed:
+        raise LinkError(ended_early(result))
+    if not told:
+        click.echo(f"Nobody reads the output any more. Flown: {result.text}; the log: {output}", err=True)
 
 
 def _check_tracking(card: "Mapping[str, Any]", after: Path | None, gains: str | None) -> None:

@@ -45,7 +45,8 @@ def flown_view(flown: "Flown", live: bool) -> View:
 def ended_early(flown: "Flown") -> str:
     """One line about a flight that something ended."""
     when = f"after {flown.duration:.1f} s of the plan" if flown.duration else "before the plan began"
-    return f"ended early, {when}: {flown.text}; the log so far: {flown.path}"
+    lands = "lands" if flown.landed else "does not land"
+    return f"ended early, {when}: {flown.text}; the vehicle {lands}; the log so far: {flown.path}"
 
 
 def jitter_line(jitter: "Jitter", count: int) -> str:
