@@ -31,6 +31,7 @@ class Autopilot:
         self.mode = (5,) if ardupilot else (POSITION, 0)
         self._setpoints: list[int] = []
         self._beat = self._state = -SECOND
+        self.vehicle_type = 2  # MAV_TYPE_QUADROTOR
         self.refuse: dict[int, int] = {}  # commands to the results that answer them instead of obedience
         self.mute: set[int] = set()  # commands that it neither obeys nor answers
         self.silent_about: set[int] = set()  # commands that it obeys, and whose answers are lost
@@ -71,7 +72,7 @@ class Autopilot:
         if now - self._beat >= SECOND:
             self._beat = now
             custom = self.mode[0] if self.ardupilot else self.mode[0] << 16 | self.mode[1] << 24
-            mav.heartbeat_send(2, 3 if self.ardupilot else 12, 1 | 128 * self.armed, custom, 4)
+            mav.heartbeat_send(self.vehicle_type, 3 if self.ardupilot else 12, 1 | 128 * self.armed, custom, 4)
         if now - self._state >= SECOND // 2:
             self._state = now
             mav.extended_sys_state_send(0, LANDED[self._room.mode()])

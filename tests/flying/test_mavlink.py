@@ -452,6 +452,29 @@ def test_a_line_that_breaks_while_greeting_is_closed(bench: Bench, monkeypatch: 
     assert not bench.wire.open
 
 
+def test_a_vehicle_that_is_no_multirotor_is_refused(bench: Bench) -> None:
+    """Mode 4 is GUIDED of Copter, ACRO of Plane and HOLD of Rover."""
+    bench.autopilot.vehicle_type = 1
+    with pytest.raises(LinkError, match=r"system 1 is a vehicle of MAV_TYPE 1, no multirotor or helicopter; check"):
+        bench.link.greet()
+    assert bench.autopilot.requests == []
+
+
+@pytest.mark.parametrize(("kind", "autopilot"), [(5, 3), (2, 0)])
+def test_a_stranger_on_the_line_is_not_taken_for_the_vehicle(bench: Bench, kind: int, autopilot: int) -> None:
+    """An antenna tracker of ArduPilot; something with an autopilot of another make."""
+    tracker = common.MAVLink(SimpleNamespace(write=lambda data: bench.wire.incoming.extend(parsed(data))), 7, 1)
+    tracker.heartbeat_send(kind, autopilot, 0, 4, 4)
+    bench.link.greet()
+    bench.fly(0.1)
+
+    assert bench.link._target == (1, 1)
+
+
+def parsed(data: bytes) -> list[Any]:
+    return common.MAVLink(None).parse_buffer(bytes(data)) or []
+
+
 def test_poses_come_back_in_our_frame_on_our_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, mode="flying")
     bench.link.greet()

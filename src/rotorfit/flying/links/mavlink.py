@@ -25,6 +25,7 @@ from rotorfit.flying.links.link import Action, Silence, seconds_until, wall_cloc
 from rotorfit.flying.links.mavlink_messages import (
     ACCEPTED,
     AUTOPILOTS,
+    FLOWN,
     IN_AIR,
     IN_PROGRESS,
     MESSAGE_INTERVAL,
@@ -89,7 +90,7 @@ def open_link(address: str, card: Card) -> "MavlinkLink":
         card: What the velocities mean; the built-in one is `mavlink`.
 
     Raises:
-        LinkError: No such port, no heartbeat, neither PX4 nor ArduPilot, or a card that does not fit.
+        LinkError: No such port, no heartbeat, neither PX4 nor ArduPilot, no multirotor, or a card that does not fit.
         ModuleNotFoundError: No pymavlink.
     """
     link = MavlinkLink(connect(address), mavlink_commands(card))
@@ -122,6 +123,7 @@ class MavlinkLink:
         self._inbox: list[Sample] = []
         self._start = wall_clock()
         self._autopilot: AutopilotProtocol | None = None
+        self._stranger = ""  # who else sends heartbeats
         self._target = (0, 0)
         self._texts, self._spoken = SpokenTexts(), deque[tuple[int, str]](maxlen=TEXTS)
         self._refused: tuple[int, str] | None = None  # when, and what
@@ -182,11 +184,11 @@ class MavlinkLink:
             address: Where it listens, as for `open_link`.
 
         Raises:
-            LinkError: No heartbeat came, or the autopilot is neither PX4 nor ArduPilot.
+            LinkError: No heartbeat came, or only of what is neither PX4 nor ArduPilot, or no multirotor.
         """
-        deadline = wall_clock() + PATIENCE
+        begun = wall_clock()
         try:
-            while self._autopilot is None and not self._trouble and wall_clock() < deadline:
+            while self._autopilot is None and wall_clock() - begun < (SILENCE if self._stranger else PATIENCE):
                 self.receive(wall_clock() + SECOND // 10)
         except LinkError:
             self._close()
@@ -194,7 +196,7 @@ class MavlinkLink:
         if self._autopilot is None:
             self._close()
             silent = f"mavlink: no heartbeat on {address or DEFAULT_ADDRESS}"
-            raise LinkError(self._trouble or f"{silent}; check address, baud rate and the port's mode")
+            raise LinkError(self._stranger or f"{silent}; check address, baud rate and the port's mode")
         self._request()
 
     def _request(self) -> None:
@@ -312,7 +314,7 @@ class MavlinkLink:
         kind = message.get_type()
         source = (message.get_srcSystem(), message.get_srcComponent())
         if kind == "HEARTBEAT" and self._autopilot is None and message.autopilot != 8:  # 8: no autopilot, but a camera
-            self._meet(message.autopilot, source)
+            self._meet(message, source)
         if self._autopilot is None or source != self._target:
             return
         if self._requested_times > 1:  # before, it may come at another rate than that asked for
@@ -347,11 +349,17 @@ class MavlinkLink:
     def _tell(self, text: str, received: int) -> None:
         self._inbox.append(Sample("said", received, received, (), text))
 
-    def _meet(self, kind: int, source: tuple[int, int]) -> None:
-        if kind in AUTOPILOTS:
-            self._autopilot, self._target = AUTOPILOTS[kind], source
+    def _meet(self, heartbeat: Any, source: tuple[int, int]) -> None:
+        """Takes a sender for the vehicle, if it can be flown: an antenna tracker on the same line has an autopilot."""
+        if heartbeat.autopilot not in AUTOPILOTS:
+            self._stranger = f"mavlink: autopilot {heartbeat.autopilot} (MAV_AUTOPILOT) is neither PX4 nor ArduPilot"
+        elif heartbeat.type not in FLOWN:
+            self._stranger = (
+                f"mavlink: system {source[0]} is a vehicle of MAV_TYPE {heartbeat.type}, no multirotor or helicopter; "
+                "check the address and the type of airframe that the autopilot is set to"
+            )
         else:
-            self._trouble = f"mavlink: autopilot {kind} (MAV_AUTOPILOT) is neither PX4 nor ArduPilot"
+            self._autopilot, self._target = AUTOPILOTS[heartbeat.autopilot], source
 
     def _watch_mode(self, mode: tuple[int, ...]) -> None:
         """Follows the flight mode; if a pilot or a fail-safe takes the vehicle out of ours, it is not taken back."""

@@ -105,6 +105,12 @@ AUTOPILOTS = {
 PX4_LOITER = (4, 3)
 """Main mode AUTO, sub-mode LOITER: where PX4 goes when its take-off is complete."""
 
+FLOWN = (2, 3, 4, 13, 14, 15, 29, 35, 43)
+"""MAV_TYPEs that are flown: with four rotors, coaxial, helicopter, with six, eight, three, twelve, ten, any number.
+
+Numbers of modes mean something else on other vehicles: GUIDED of ArduPilot Copter is ACRO of Plane.
+"""
+
 ON_GROUND, IN_AIR = 1, 2
 """MAV_LANDED_STATE_ON_GROUND, _IN_AIR."""
 
