@@ -160,6 +160,21 @@ def test_a_refusal_is_an_error_that_names_the_step(bench: Bench, result: int, sa
     assert bench.room.asked == []
 
 
+def test_an_answer_to_another_ground_station_is_not_ours(bench: Bench) -> None:
+    bench.autopilot.mute.add(400)
+    bench.link.greet()
+    bench.link.act("take_off")
+    bench.fly(0.5)
+    bench.autopilot.connection.mav.command_ack_send(400, 0, target_system=255, target_component=190)
+    bench.fly(0.5)
+    assert bench.room.asked == []  # as arming, which comes first, has no answer yet
+    bench.autopilot.mute.clear()
+    bench.fly(1.0)
+    bench.autopilot.connection.mav.command_ack_send(22, 2, target_system=255, target_component=190)
+    bench.fly(2.0)
+    assert bench.room.asked == ["take_off"]
+
+
 def test_a_step_that_is_put_off_is_asked_for_again(bench: Bench) -> None:
     bench.autopilot.refuse[400] = 1
     bench.link.greet()

@@ -327,7 +327,7 @@ class MavlinkLink:
         elif kind in ("SYS_STATUS", "BATTERY_STATUS"):
             left = battery(message)
             self._inbox += [] if left is None else [Sample("battery", received, received, (left,))]
-        elif kind == "COMMAND_ACK":
+        elif kind == "COMMAND_ACK" and _is_ours(message):
             self._answered(message.command, message.result)
         elif kind == "EXTENDED_SYS_STATE":
             self._on_ground = message.landed_state == ON_GROUND
@@ -484,6 +484,12 @@ class MavlinkLink:
         if self._open:
             self._open = False
             self._connection.close()
+
+
+def _is_ours(answer: Any) -> bool:
+    """Whether an answer is for us, or for nobody in particular: a router forwards those for a ground station, too."""
+    wanted, part = getattr(answer, "target_system", 0), getattr(answer, "target_component", 0)  # not in MAVLink 1
+    return wanted in (0, SYSTEM) and part in (0, COMPONENT)
 
 
 def _refuse_if_taken(address: str) -> None:
