@@ -40,7 +40,7 @@ def test_the_page_names_whom_it_follows_and_says_numbers_with_units_and_bounds(l
     expect(page).to_have_title("sim,wind=1 – rotorfit live")
     expect(page.locator("#vehicle")).to_have_text("sim,wind=1")
 
-    server.state(told(1, 0.1), 0)
+    server.state(told(1, 0.1), 0, 0)
     captions = page.locator("figcaption")
     expect(captions).to_have_text(
         [
@@ -59,8 +59,8 @@ def test_the_page_names_whom_it_follows_and_says_numbers_with_units_and_bounds(l
 def test_a_wild_second_flattens_no_chart_and_an_empty_one_has_no_scale(live: tuple[LivePage, Page]) -> None:
     server, page = live
     for second in range(1, 31):
-        server.state(told(second, 0.1), 0)
-    server.state(told(31, 50.0), 0)
+        server.state(told(second, 0.1), 0, 0)
+    server.state(told(31, 50.0), 0, 0)
     expect(page.locator("#time")).to_have_text("31 s")
     expect(page.locator("canvas")).to_have_count(4)
 
@@ -72,7 +72,7 @@ def test_a_wild_second_flattens_no_chart_and_an_empty_one_has_no_scale(live: tup
 
 def test_the_end_is_no_error(live: tuple[LivePage, Page]) -> None:
     server, page = live
-    server.state(told(1, 0.1), 0)
+    server.state(told(1, 0.1), 0, 0)
     expect(page.locator("#time")).to_have_text("1 s")
     time.sleep(0.2)
     server.close()

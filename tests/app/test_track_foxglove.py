@@ -111,7 +111,7 @@ def test_a_client_reads_all_that_is_told() -> None:
             def told() -> None:
                 while not stopped.wait(0.05):  # a subscription takes a moment, and what came before it is not heard
                     outlet.heard([pose, command], 7)
-                    outlet.state(state, 7)
+                    outlet.state(state, 7, 7)
                     outlet.gains({"type": "gains", "axes": {"x": {}}}, 7)
                     outlet.motion(Motion(2.0, {}), 7)
 

@@ -376,7 +376,7 @@ def test_the_page_shows_all_that_is_told_to_who_has_the_key_alone() -> None:
     page = LivePage(0, "sim,wind=1", said.append)
     try:
         page.gains({"type": "gains", "axes": {"x": {}}}, 0)
-        page.state(Tracked(2.0, {"x": TrackedAxis()}, (ALARM,)), 0)
+        page.state(Tracked(2.0, {"x": TrackedAxis()}, (ALARM,)), 0, 0)
         address = urlsplit(said[0].split()[-1])
         port = address.port or 0
 

@@ -15,8 +15,9 @@ from rotorfit.app.cli import main
 from rotorfit.app.live.ros_topics import ALARMING, RosTopics
 from rotorfit.core.errors import LinkError
 from rotorfit.core.tracked import Air, Alarm, Tracked, TrackedAxis
+from rotorfit.tracking.tracker import Tracker
 
-NOW = 7_000_000_123
+NOW, HELD = 9_000_000_000, 7_000_000_123
 ALARM = Alarm(3.0, ("x",), "payload", (1.0, 2.0), {"x.input": (0.8, 0.9)}, 0.9, 1e-9, "because")
 STANDARD = {
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
@@ -126,7 +127,7 @@ def a_state(time: float, *alarms: Alarm) -> Tracked:
 @pytest.mark.parametrize("ros", ["ros1", "ros2"])
 def test_what_is_known_leaves_on_standard_messages_and_nothing_else_does(ros: str, graph: Graph) -> None:
     topics = RosTopics(ros, "mavlink")
-    topics.state(a_state(5.0, ALARM), NOW)
+    topics.state(a_state(5.0, ALARM), NOW, HELD)
     topics.gains({"type": "gains"}, NOW)
     topics.close()
 
@@ -140,12 +141,15 @@ def test_what_is_known_leaves_on_standard_messages_and_nothing_else_does(ros: st
     assert (velocity.header.frame_id, push.header.frame_id, wind.header.frame_id) == ("world", "heading", "world")
     assert push.accel.linear.x == 0.1
     assert (wind.vector.x, wind.vector.y) == pytest.approx((0.0, 2.0))
-    assert (velocity.header.stamp.sec, velocity.header.stamp.nanosec) == (7, 123)
+    assert {(one.header.stamp.sec, one.header.stamp.nanosec) for one in (velocity, push, wind)} == {(7, 123)}
+    assert graph.on("/diagnostics")[0].header.stamp.sec == 9  # which tools judge as stale
+    (time,) = [one.value for one in graph.on("/diagnostics")[0].status[0].values if one.key == "time"]
+    assert time == "5"
     assert set(graph.closed) == (set(STANDARD) if ros == "ros1" else {"node", "context"})
 
 
 def test_diagnostics_say_what_is_known_of_each_axis(graph: Graph) -> None:
-    RosTopics("ros2", "mavlink").state(a_state(5.0), NOW)
+    RosTopics("ros2", "mavlink").state(a_state(5.0), NOW, HELD)
 
     assert graph.levels() == {
         "rotorfit: vehicle": (Status.OK, "not yet watched for changes: y, z, yaw"),
@@ -166,7 +170,7 @@ def test_an_alarm_is_an_error_for_a_while_and_a_warning_from_then_on(graph: Grap
     topics = RosTopics("ros1", "sim")
     seen = []
     for state in (a_state(2.0), a_state(3.0, ALARM), a_state(3.0 + ALARMING), a_state(4.0 + ALARMING)):
-        topics.state(state, NOW)
+        topics.state(state, NOW, HELD)
         seen.append(graph.levels()["rotorfit: vehicle"])
 
     assert [level for level, _ in seen] == [Status.OK, Status.ERROR, Status.ERROR, Status.WARN]
@@ -180,7 +184,7 @@ def test_a_revised_alarm_takes_the_place_of_the_first_and_is_no_new_error(graph:
         replace(ALARM, time=ALARM.time + 1.0, cause="thrust", revises=ALARM.time),
     )
     for state in (a_state(3.0, ALARM), a_state(4.0, revised), a_state(ALARM.time + ALARMING + 0.5)):
-        topics.state(state, NOW)
+        topics.state(state, NOW, HELD)
 
     assert graph.levels()["rotorfit: vehicle"] == (
         Status.WARN,
@@ -220,3 +224,27 @@ def test_a_simulated_vehicle_reaches_the_topics(graph: Graph) -> None:
     assert {one.name for one in graph.on("/diagnostics")[-1].status} == {
         f"rotorfit: {name}" for name in ("vehicle", "x", "y", "z", "yaw")
     }
+
+
+@pytest.mark.usefixtures("looks_here")
+def test_what_a_late_look_tells_is_stamped_when_it_held(monkeypatch: pytest.MonkeyPatch, graph: Graph) -> None:
+    """Looks here come two seconds after the samples that they describe."""
+    news, ready = Tracker.news, list[Tracked]()
+
+    def late(tracker: Tracker) -> list[Tracked]:
+        ready.extend(news(tracker))
+        now = tracker._growing.now
+        found = [one for one in ready if now - one.time > 2.0 or tracker._end]
+        ready[:] = [one for one in ready if one not in found]
+        return found
+
+    monkeypatch.setattr(Tracker, "news", late)
+    words = ["track", "--link", "sim", "--for", "7", "--pace", "1000", "--structure", "first_order_delay", "--jsonl"]
+    result = CliRunner().invoke(main, [*words, "--publish", "ros2"])
+
+    assert result.exit_code == 0, result.output
+    times = [json.loads(one.data)["time"] for one in graph.on("/rotorfit/tracked")]
+    stamps = [one.header.stamp for one in graph.on("/rotorfit/velocity")]
+    seconds = [one.sec + 1e-9 * one.nanosec for one in stamps]
+    assert len(seconds) >= 3
+    assert [one - seconds[0] for one in seconds] == pytest.approx([one - times[0] for one in times], abs=1e-6)

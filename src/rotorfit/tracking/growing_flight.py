@@ -115,6 +115,11 @@ class GrowingFlight:
         """Time of the newest sound sample [s]."""
         return self._so_far.now
 
+    @property
+    def origin(self) -> int | None:
+        """Stamp of second 0, by the clock that times the commands [ns]; None before it is known."""
+        return self._origin
+
     def add(self, sample: Sample) -> bool:
         """Takes a sample.
 

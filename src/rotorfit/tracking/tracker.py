@@ -187,6 +187,11 @@ class Tracker:
         return [self._unread.popleft() for _ in range(len(self._unread))]
 
     @property
+    def origin(self) -> int | None:
+        """Stamp of second 0, by the clock that times the commands [ns]; None before the first that is obeyed."""
+        return self._growing.origin
+
+    @property
     def parts(self) -> list[Part]:
         """The recordings of the flight: several where it was resumed."""
         return self._growing.parts

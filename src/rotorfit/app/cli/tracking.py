@@ -340,10 +340,11 @@ def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight
         def report(state: "Tracked") -> None:
             """Shows a state when its time has come."""
             _wait_for(state.time, begun, asked.pace, abort)
-            views.state(state, round(state.time * 1e9))
+            now = round(state.time * 1e9)
+            views.state(state, now, now)
             show_state(state)
             if asked.regaining:
-                asked.regaining.state(state, round(state.time * 1e9))
+                asked.regaining.state(state, now)
 
         tuned = asked.regaining is not None
         result = tracked(flight, asked.structure, asked.false_alarms, report, asked.earlier, abort, tuned)

@@ -63,7 +63,7 @@ class FoxgloveOutlet:
             elif sample.stream == "command":
                 self._send(COMMAND, dict(zip(AXES, sample.values, strict=True)), sample.received)
 
-    def state(self, state: Tracked, now: int) -> None:
+    def state(self, state: Tracked, now: int, _held: int) -> None:
         """Sends a state and its alarms."""
         for alarm in state.alarms:
             self._send(ALARM, alarm.to_mapping(), now)

@@ -42,8 +42,8 @@ class Outlet(Protocol):
     def heard(self, samples: Sequence[Sample], now: int) -> None:
         """Takes samples as they arrived, and the link's clock [ns]."""
 
-    def state(self, state: Tracked, now: int) -> None:
-        """Takes a new state with its alarms, and the link's clock [ns]."""
+    def state(self, state: Tracked, now: int, held: int) -> None:
+        """Takes a new state with its alarms, the link's clock, and when the state held by the senders' clock [ns]."""
 
     def gains(self, message: Mapping[str, Any], now: int) -> None:
         """Takes new gains, and the link's clock [ns]."""
@@ -101,7 +101,7 @@ class Recording:
             recorder.sample(sample)
         self._waiting.clear()
 
-    def state(self, state: Tracked, now: int) -> None:
+    def state(self, state: Tracked, now: int, _held: int) -> None:
         """Writes a state and its alarms, the alarms also as events."""
         if recorder := self._writing:
             for alarm in state.alarms:
@@ -178,7 +178,7 @@ class Remembering:
             self._memory = self._tracker.memory()
             self._due.set()
 
-    def state(self, _state: Tracked, _now: int) -> None:
+    def state(self, _state: Tracked, _now: int, _held: int) -> None:
         """Does nothing: the memory is taken with the samples."""
 
     def gains(self, _message: Mapping[str, Any], _now: int) -> None:

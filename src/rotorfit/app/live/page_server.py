@@ -44,7 +44,7 @@ class LivePage:
     def heard(self, _samples: Sequence[Sample], _now: int) -> None:
         """Does nothing: pages show states only."""
 
-    def state(self, state: Tracked, _now: int) -> None:
+    def state(self, state: Tracked, _now: int, _held: int) -> None:
         """Shows a state and its alarms."""
         for alarm in state.alarms:
             self._feed.add(alarm.to_mapping())

@@ -50,7 +50,7 @@ class _Graph(Protocol):
     def message(self, kind: str) -> Any:
         """An empty message of a type such as `std_msgs/String`."""
 
-    def stamp(self, message: Any, now: int) -> None:
+    def stamp(self, message: Any, at: int) -> None:
         """Sets the stamp of a message's header [ns]."""
 
     def publish(self, topic: str, message: Any) -> None:
@@ -72,8 +72,8 @@ class _Ros1:
     def message(self, kind: str) -> Any:
         return self._ros.message_class(kind)()
 
-    def stamp(self, message: Any, now: int) -> None:
-        message.header.stamp = self._rospy.Time(*divmod(now, SECOND))
+    def stamp(self, message: Any, at: int) -> None:
+        message.header.stamp = self._rospy.Time(*divmod(at, SECOND))
 
     def publish(self, topic: str, message: Any) -> None:
         self._publishers[topic].publish(message)
@@ -100,8 +100,8 @@ class _Ros2:
     def message(self, kind: str) -> Any:
         return self._class(kind)()
 
-    def stamp(self, message: Any, now: int) -> None:
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, SECOND)
+    def stamp(self, message: Any, at: int) -> None:
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(at, SECOND)
 
     def publish(self, topic: str, message: Any) -> None:
         self._publishers[topic].publish(message)
@@ -149,19 +149,19 @@ class RosTopics:
     def heard(self, _samples: Sequence[Sample], _now: int) -> None:
         """Does nothing: samples have topics already."""
 
-    def state(self, state: Tracked, now: int) -> None:
-        """Publishes a state and its alarms."""
+    def state(self, state: Tracked, now: int, held: int) -> None:
+        """Publishes a state and its alarms; what it measures is stamped when it held, for a look may take seconds."""
         for alarm in state.alarms:
             self._alarm = alarm
             self._json("alarm", alarm.to_mapping())
         self._json("tracked", state.to_mapping())
         self._diagnose(state, now)
         axes = [state.axes.get(axis, TrackedAxis()) for axis in AXES]
-        self._six("velocity", "twist", "world", [axis.velocity for axis in axes], now)
-        self._six("disturbance", "accel", "heading", [axis.wind for axis in axes], now)
+        self._six("velocity", "twist", "world", [axis.velocity for axis in axes], held)
+        self._six("disturbance", "accel", "heading", [axis.wind for axis in axes], held)
         if state.air:
             x, y = (state.air.speed * part(state.air.direction) for part in (math.cos, math.sin))
-            message = self._stamped("wind", "world", now)
+            message = self._stamped("wind", "world", held)
             message.vector.x, message.vector.y, message.vector.z = x, y, 0.0
             self._graph.publish(f"{self._prefix}/wind", message)
 
@@ -178,15 +178,15 @@ class RosTopics:
         message.data = json.dumps(mapping, allow_nan=False)
         self._graph.publish(f"{self._prefix}/{topic}", message)
 
-    def _stamped(self, topic: str, frame: str, now: int) -> Any:
+    def _stamped(self, topic: str, frame: str, held: int) -> Any:
         message = self._graph.message(TOPICS[topic])
-        self._graph.stamp(message, now)
+        self._graph.stamp(message, held)
         message.header.frame_id = frame
         return message
 
-    def _six(self, topic: str, field: str, frame: str, values: Sequence[float | None], now: int) -> None:
+    def _six(self, topic: str, field: str, frame: str, values: Sequence[float | None], held: int) -> None:
         """Publishes linear x, y, z and the rate about z; the other rates are unknown."""
-        message = self._stamped(topic, frame, now)
+        message = self._stamped(topic, frame, held)
         part = getattr(message, field)
         x, y, z, yaw = (math.nan if value is None else value for value in values)
         part.linear.x, part.linear.y, part.linear.z = x, y, z
@@ -202,7 +202,7 @@ class RosTopics:
 
     def _of_vehicle(self, state: Tracked) -> Any:
         alarm = self._alarm
-        values = {"regime": str(state.regime + 1)}
+        values = {"time": f"{state.time:.6g}", "regime": str(state.regime + 1)}
         if state.air:
             values |= {"wind speed": f"{state.air.speed:.6g}", "wind direction": f"{state.air.direction:.6g}"}
         blind = f"not yet watched for changes: {', '.join(state.unwatched)}" if state.unwatched else ""

@@ -66,10 +66,10 @@ class Views:
         for outlet in self._outlets:
             outlet.heard(samples, now)
 
-    def state(self, state: Tracked, now: int) -> None:
+    def state(self, state: Tracked, now: int, held: int) -> None:
         """Passes a state on."""
         for outlet in self._outlets:
-            outlet.state(state, now)
+            outlet.state(state, now, held)
 
     def gains(self, message: Mapping[str, Any], now: int) -> None:
         """Passes new gains on."""

@@ -87,8 +87,9 @@ def track_link(
         if len(states) > KEPT:
             states[:] = [one for number, one in enumerate(states) if number % 2 == 0 or one.alarms]
         states.append(state)
+        held = now if tracker.origin is None else tracker.origin + round(1e9 * state.time)
         for outlet in outlets:
-            outlet.state(state, now)
+            outlet.state(state, now, held)
         report(state, now)
 
     with ExitStack() as closing:
