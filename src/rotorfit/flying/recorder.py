@@ -128,12 +128,16 @@ class Recorder:
         self._file, self._queue = file, _Queue()
         self._writer: Any = Writer(cast("Any", self._queue), use_chunking=False)
         self._writer.start(profile="ros2", library=f"rotorfit {__version__}")
-        self._writer.add_metadata(ATTACHED, {**attached, "rotorfit": __version__})
+        self.attach({**attached, "rotorfit": __version__})
         self._channel: dict[str, int] = {}
         self._closing = threading.Event()
         self._written = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="rotorfit-recorder", daemon=True)
         self._thread.start()
+
+    def attach(self, texts: Mapping[str, str]) -> None:
+        """Writes texts that a reader gets with the streams; those of the same name before count no more."""
+        self._writer.add_metadata(ATTACHED, dict(texts))
 
     def command(self, stamp: int, command: Sequence[float]) -> None:
         """Records a command that was sent at `stamp` by the link's clock [ns]."""

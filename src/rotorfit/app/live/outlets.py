@@ -69,31 +69,46 @@ class Recording:
         self._path, self._card, self._link = path, card, link
         self._recorder: Recorder | None = None
         self._waiting: list[Sample] = []
-        self._poses: list[Sample] = []  # the first ones
+        self._clocks = {name: _ClockOf(name) for name in ("pose", "command")}
+        self._written: dict[str, str] = {}  # the clocks in the card of the file
 
     def heard(self, samples: Sequence[Sample], now: int) -> None:
-        """Writes samples; the file begins when the first poses tell which clock times them, as for the tracker."""
+        """Writes samples; the file begins when the first poses tell which clock times them, as for the tracker.
+
+        Commands may begin long after that: when they tell their clock, the card is written again.
+        """
         if self.fault:
             return
         self._waiting += samples
+        for clock in self._clocks.values():
+            clock.take(samples)
         if self._recorder is None:
-            self._poses += [one for one in samples if one.stream == "pose"]
-            if not self._poses:
+            if not self._clocks["pose"].heard:
                 del self._waiting[:-MOST_WAITING]
-            if len(self._poses) < STRANGE or self._poses[-1].received - self._poses[0].received < 1e9 * LASTING:
+            if not self._clocks["pose"].told:
                 return
             self._recorder = self._begun(now)
         self._write(self._recorder)
+        if self._clocks["command"].told:
+            self._correct(self._recorder)
 
     def _begun(self, now: int) -> Recorder:
-        """A recorder, once there is a pose; the commands so far tell their clock, too."""
-        import tomli_w
-
-        commands = [one for one in self._waiting if one.stream == "command"]
-        card = card_as_recorded(self._card.raw, _clock_of(self._poses), _clock_of(commands))
-        recorder = record(self._path, {"card": tomli_w.dumps(card), "link": self._link})
+        """A recorder, once there is a pose."""
+        recorder = record(self._path, {"card": self._card_text(), "link": self._link})
         recorder.window(min(now, self._waiting[0].received), True)
         return recorder
+
+    def _card_text(self) -> str:
+        """The card of the recording, by the clocks that are told so far."""
+        import tomli_w
+
+        self._written = {name: clock.name for name, clock in self._clocks.items()}
+        return tomli_w.dumps(card_as_recorded(self._card.raw, self._written["pose"], self._written["command"]))
+
+    def _correct(self, recorder: Recorder) -> None:
+        """Writes the card again if the commands have another clock than it says."""
+        if self._written["command"] != self._clocks["command"].name:
+            recorder.attach({"card": self._card_text()})
 
     def _write(self, recorder: Recorder) -> None:
         """Writes the samples that wait."""
@@ -131,17 +146,43 @@ class Recording:
 
     def close(self) -> None:
         """Ends the file; one that has not begun is written if there is a pose."""
-        if self._recorder is None and self._poses:
+        if self._recorder is None and self._clocks["pose"].heard:
             self._recorder = self._begun(self._waiting[0].received)
             self._write(self._recorder)
         if self._recorder is not None:
+            self._correct(self._recorder)
             self._recorder.close()
 
 
-def _clock_of(first: Sequence[Sample]) -> str:
-    """The clock that times samples, as their tracker takes it: the sender's, or that of their arrival."""
-    late = [(one.received - one.stamp) / 1e9 for one in first]
-    return "header.stamp" if not late or any(ONE_CLOCK[0] <= one <= ONE_CLOCK[1] for one in late) else "log_time"
+class _ClockOf:
+    """Which clock times a stream, by its first samples, as their tracker takes it.
+
+    Args:
+        stream: The stream.
+
+    Attributes:
+        name: The sender's clock, `header.stamp`, or that of the arrival, `log_time`.
+        told: Whether the samples so far settle it.
+        heard: Whether a sample has come.
+    """
+
+    def __init__(self, stream: str) -> None:
+        self._stream, self._first = stream, list[Sample]()
+        self.name, self.told = "header.stamp", False
+
+    @property
+    def heard(self) -> bool:
+        return bool(self._first)
+
+    def take(self, samples: Sequence[Sample]) -> None:
+        """Takes samples of any stream as they arrive."""
+        if self.told:
+            return
+        first = self._first = [*self._first, *(one for one in samples if one.stream == self._stream)]
+        late = [(one.received - one.stamp) / 1e9 for one in first]
+        ours = not late or any(ONE_CLOCK[0] <= one <= ONE_CLOCK[1] for one in late)
+        self.name = "header.stamp" if ours else "log_time"
+        self.told = len(first) >= STRANGE and first[-1].received - first[0].received >= 1e9 * LASTING
 
 
 class Remembering:
