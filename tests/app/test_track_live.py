@@ -152,6 +152,15 @@ def test_the_clock_of_a_recording_is_that_of_its_tracker(late: int, seconds: flo
     assert len(read(path).tables["/rotorfit/pose"].columns["log_time"]) == count
 
 
+def test_a_recording_says_how_well_the_stamps_of_its_poses_are_known(tmp_path: Path) -> None:
+    recording = Recording(tmp_path / "flight.mcap", CARD, "mavlink")
+    for one in flown()[:3000]:
+        recording.heard([replace(one, error=0.03)], one.received)
+    recording.close()
+
+    assert card_of(read(tmp_path / "flight.mcap")).pose_time.error == 0.03
+
+
 @pytest.mark.parametrize("silent", [0.0, 4.0, 7.5])
 @pytest.mark.parametrize(("off", "clock"), [(0.0, "header.stamp"), (-40.0, "log_time")])
 def test_commands_are_recorded_as_they_arrive_and_timed_as_by_the_tracker(

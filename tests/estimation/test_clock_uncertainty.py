@@ -8,7 +8,11 @@ import pytest
 from flights import fit_as_flown
 from logs import Csv
 from rotorfit.app.workflows import load_flight
+from rotorfit.core.plain import plain_toml
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import parse_log
+from rotorfit.files.logs import read
+from rotorfit.flights.assemble import flight_from_log
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
@@ -41,3 +45,25 @@ def test_commands_with_stamps_of_their_own_are_known(tmp_path: Path) -> None:
     log, _, card = Csv(simulate_flight(TRUTH, two_sines, 20.0, 1)).write(tmp_path)
 
     assert load_flight(parse_log(log), card).command_lateness == 0.0
+
+
+def test_what_the_card_states_of_its_stamps_is_in_the_delay(tmp_path: Path) -> None:
+    """Poses that come 30 ms late by a radio of 60 ms; the link knows it to half of the round trip."""
+    log, _, card = Csv(simulate_flight(TRUTH, two_sines, 60.0, 1)).write(tmp_path)
+    raw = plain_toml(Path(card).read_text())
+    late = {"from": raw["pose"]["time"], "unit": "s", "offset": 0.03}
+    flights = [
+        flight_from_log(read(log), card_from_mapping({**raw, "pose": {**raw["pose"], "time": time}}, "stated"))
+        for time in (late, {**late, "error": 0.03})
+    ]
+    blind, told = (fit_as_flown([flight]).model.axes["yaw"] for flight in flights)
+    true = TRUTH.delay[3]
+
+    assert flights[1].stamp_error == 0.03
+    assert [note.text for note in flights[1].notes if note.code == "stamp_error"] == [
+        "stamps of the poses are known to +-30 ms (95 %), by the card: the interval of every delay holds it"
+    ]
+    assert blind.ci95["delay"][0] > true  # type: ignore[operator]
+    assert told.ci95["delay"][0] < true < told.ci95["delay"][1]  # type: ignore[operator]
+    assert told.delay == pytest.approx(blind.delay)
+    assert told.ci95["input"] == blind.ci95["input"]

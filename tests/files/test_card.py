@@ -283,6 +283,22 @@ def test_shipped_cards_read_the_real_sets_as_their_own_cards_do(real_flights: Pa
         assert essence(load_card(name)) == essence(load_card(str(real_flights / name / "card.toml")))
 
 
+def test_the_error_of_a_clock_is_stated_for_commands_and_poses_alone() -> None:
+    raw = {
+        "command": {"time": {"from": "t", "error": 0.002}, "x": "ux"},
+        "pose": {"time": {"from": "s", "unit": "ms", "error": 0.03}, "x": "x", "y": "y", "z": "z", "yaw": "yaw"},
+    }
+    card = card_from_mapping(raw, "test")
+    assert (card.command_time.error, card.pose_time.error) == (0.002, 0.03)
+
+    for section, key in (("command", "x"), ("pose", "z")):
+        wrong = {**raw, section: {**raw[section], key: {"from": "u", "error": 0.1}}}
+        with pytest.raises(CardError, match=rf"\[{section}\] {key}: unknown key 'error'"):
+            card_from_mapping(wrong, "test")
+    with pytest.raises(CardError, match=r"\[pose\] time.error: must be positive, not -1"):
+        card_from_mapping({**raw, "pose": {**raw["pose"], "time": {"from": "s", "error": -1}}}, "test")
+
+
 def test_scale_comes_before_offset_and_unit_after_both() -> None:
     log = log_of(only={"x": [1, 2]})
 

@@ -589,6 +589,33 @@ def test_an_exchange_of_stamps_removes_the_least_delay_too() -> None:
     assert clock.ours(1400 * MS, 399 * MS) == 399 * MS  # never later than it arrived
 
 
+def test_a_pose_says_how_well_its_instant_is_known() -> None:
+    """To half of the shortest round trip: all of it may be in one way."""
+    poses = Poses()
+    for sent, trip in ((100, 60), (300, 40), (500, 90)):
+        poses.clock.exchanged(sent=sent * MS, theirs=(sent + trip // 2) * MS, received=(sent + trip) * MS)
+    poses.take(turned(600, 0.2), 640 * MS)
+    place = message("LOCAL_POSITION_NED", 610, x=1.0, y=0.0, z=-1.0, vx=0.3, vy=0.0, vz=-0.1)
+    found = poses.take(place, 650 * MS) + poses.take(turned(620, 0.4), 660 * MS)
+
+    assert [sample.error for sample in found] == [0.02, 0.02]
+    whole = SimpleNamespace(
+        get_type=lambda: "ODOMETRY", time_usec=700_000, frame_id=1, x=1.0, y=2.0, z=-3.0, q=[1.0, 0.0, 0.0, 0.0]
+    )
+    assert poses.take(whole, 750 * MS)[0].error == 0.02
+
+
+def test_a_clock_that_nothing_tells_is_said_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench.autopilot, "_on_timesync", lambda _: None)
+    bench.room.flight_mode = "flying"
+    bench.link.greet()
+    samples = [one for _ in range(30) for one in bench.link.receive(bench.instant + SECOND // 10)]
+
+    (told,) = [sample for sample in samples if sample.text]
+    assert "does not answer TIMESYNC: its poses are timed by the least delayed arrival, and the delay" in told.text
+    assert told.received - bench.link._start <= SECOND  # within the preflight
+
+
 def message(kind: str, ms: int, **fields: float) -> Any:
     return SimpleNamespace(get_type=lambda: kind, time_boot_ms=ms, **fields)
 

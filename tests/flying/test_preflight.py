@@ -8,8 +8,10 @@ from flying import BEBOP, CARD, SECOND, SPACE, Watched, plan_of, room_link
 from rotorfit.core.errors import LinkError, PlanError
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Sines, Steps
 from rotorfit.core.log import Sample
+from rotorfit.core.plain import plain_toml
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.flying.links.link import Silence
+from rotorfit.flying.mission import attached_to
 from rotorfit.flying.preflight import Ready, preflight, refuse
 from rotorfit.planning.belief import belief_from_card, belief_mapping
 from rotorfit.planning.run_on import run_on
@@ -188,6 +190,17 @@ def test_poses_of_another_clock_are_timed_by_their_arrival(offset: float) -> Non
     assert (
         preflight(plan_of(), room_link(Conditions(mocap_clock=SenderClock(offset=-0.01)))).pose_clock == "header.stamp"
     )
+
+
+def test_what_the_stamps_of_poses_may_be_off_by_is_told_and_recorded() -> None:
+    link = Watched(room_link())
+    link.samples = lambda _, samples: [replace(one, error=0.03) for one in samples]
+    ready = preflight(plan_of(), link)
+    card = plain_toml(attached_to(plan_of(), ready, "mavlink")["card"])
+
+    assert next(check for check in ready.checks if check.name == "pose").text.endswith(" repeated, when to 30.0 ms")
+    assert card["pose"]["time"] == {"from": "/rotorfit/pose:header.stamp", "error": 0.03}
+    assert card_from_mapping(card, "as recorded").pose_time.error == 0.03
 
 
 FEEDBACK = Feedback(("x", "y", "z", "yaw"))

@@ -21,6 +21,7 @@ class Channel:
         unit: One of the names in `frames.UNIT_SCALE`, or None where the value is SI or a fraction.
         meaning: For commands: `tilt`, `velocity`, `vertical_speed` or `yaw_rate`; None where the card does not say.
         full_scale: For commands: the limit (a key of `Card.limits`) that the value is a fraction of.
+        error: For the time of commands or poses: half the 95 % interval of an offset that all stamps share [s].
         others: Alternatives in other versions of the same format, in order of preference; the first channel that the
             log holds is read, see `columns.card_for`.
     """
@@ -31,6 +32,7 @@ class Channel:
     unit: str | None = None
     meaning: str | None = None
     full_scale: str | None = None
+    error: float = 0.0
     others: tuple["Channel", ...] = ()
 
     @property

@@ -103,6 +103,8 @@ class Sample:
         received: Time of arrival, by the link's clock [ns].
         values: The numbers.
         text: Text of a `said` sample.
+        error: Half the 95 % interval of an offset of the stamp, which other samples of the stream share [s]; 0 where
+            it is small or unknown.
     """
 
     stream: Literal["pose", "velocity", "command", "battery", "obeys", "said"]
@@ -110,6 +112,7 @@ class Sample:
     received: int
     values: tuple[float, ...]
     text: str = ""
+    error: float = 0.0
 
 
 NUMBERS: Mapping[str, int] = {"pose": 7, "velocity": 4, "command": 4, "battery": 1, "obeys": 1, "said": 0}

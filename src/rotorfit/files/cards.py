@@ -32,6 +32,9 @@ _MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
 
 _ANY = tuple(UNIT_SCALE)
 
+_OF_COMMANDS, _OF_CLOCKS = ("meaning", "full_scale"), ("error",)
+"""Keys that only channels of commands, and the times of commands and poses, have."""
+
 _LIMITS = tuple(LIMIT_UNITS)
 
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
@@ -129,7 +132,9 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         raise CardError(f"{place}: section [{missing[0]}] is missing")
     command, pose, velocity, attitude = (sections[key] for key in ("command", "pose", "velocity", "attitude"))
     in_command, in_pose = f"{place}, [command]", f"{place}, [pose]"
-    commands = {axis: _channel(command[axis], f"{in_command} {axis}", _ANY, True) for axis in AXES if axis in command}
+    commands = {
+        axis: _channel(command[axis], f"{in_command} {axis}", _ANY, _OF_COMMANDS) for axis in AXES if axis in command
+    }
     if not commands:
         raise CardError(f"{in_command}: no axis is commanded; name a column for at least one of x, y, z, yaw")
     card = Card(
@@ -137,9 +142,9 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         frame=_choice(raw.get("frame", "ENU"), ("ENU", "NED"), f"{place}, frame"),
         command_frame=_choice(command.get("frame", "heading"), ("heading", "world"), f"{in_command} frame"),
         hold=_positive(command["hold"], f"{in_command} hold") if "hold" in command else None,
-        command_time=_recorded(command, "time", STAMP_UNITS, in_command),
+        command_time=_recorded(command, "time", STAMP_UNITS, in_command, _OF_CLOCKS),
         command=commands,
-        pose_time=_recorded(pose, "time", STAMP_UNITS, in_pose),
+        pose_time=_recorded(pose, "time", STAMP_UNITS, in_pose, _OF_CLOCKS),
         pose=_pose(pose, velocity, in_pose),
         velocity=_channels(velocity, UNITS_OF_VELOCITY, f"{place}, [velocity]"),
         velocity_frame=_choice(velocity.get("frame", "world"), ("heading", "world"), f"{place}, [velocity] frame"),
@@ -234,16 +239,16 @@ def _choice(value: Any, known: tuple[Choice, ...], place: str) -> Choice:
     raise CardError(f"{place}: {shown(value)} is not one of {', '.join(str(option) for option in known)}{near}")
 
 
-def _channel(value: Any, place: str, units: tuple[str, ...], command: bool = False) -> Channel:
-    """A channel from a string, a number, `{ from, scale, offset, unit }`, or a list; commands also have a meaning."""
+def _channel(value: Any, place: str, units: tuple[str, ...], more: tuple[str, ...] = ()) -> Channel:
+    """A channel from a string, a number, `{ from, scale, offset, unit }` and the keys of `more`, or a list."""
     if isinstance(value, list):  # alternative names in different versions of a format
         if not value:
             raise CardError(f"{place}: an empty list names no column")
-        first, *others = (_channel(one, place, units, command) for one in value)
+        first, *others = (_channel(one, place, units, more) for one in value)
         return replace(first, others=tuple(others))
     if not isinstance(value, Mapping):
         return Channel(_source(value, place))
-    _check_keys(value, ("from", "scale", "offset", "unit", *(("meaning", "full_scale") if command else ())), place)
+    _check_keys(value, ("from", "scale", "offset", "unit", *more), place)
     if "from" not in value:
         raise CardError(f"{place}: from is missing: which column?")
     if value.get("scale") == 0:
@@ -255,6 +260,7 @@ def _channel(value: Any, place: str, units: tuple[str, ...], command: bool = Fal
         unit=_choice(value["unit"], units, f"{place}.unit") if "unit" in value else None,
         meaning=_choice(value["meaning"], _MEANINGS, f"{place}.meaning") if "meaning" in value else None,
         full_scale=_choice(value["full_scale"], _LIMITS, f"{place}.full_scale") if "full_scale" in value else None,
+        error=_positive(value["error"], f"{place}.error") if "error" in value else 0.0,
     )
 
 
@@ -270,11 +276,13 @@ def _channels(raw: Mapping[str, Any], units: Mapping[str, tuple[str, ...]], plac
     return {axis: _channel(raw[axis], f"{place} {axis}", units[axis]) for axis in AXES if axis in raw}
 
 
-def _recorded(section: Mapping[str, Any], key: str, units: tuple[str, ...], place: str) -> Channel:
+def _recorded(
+    section: Mapping[str, Any], key: str, units: tuple[str, ...], place: str, more: tuple[str, ...] = ()
+) -> Channel:
     """A required channel that must not be a constant, such as a clock or the window."""
     if key not in section:
         raise CardError(f"{place}: {key} is missing: which column?")
-    channel = _channel(section[key], f"{place} {key}", units)
+    channel = _channel(section[key], f"{place} {key}", units, more)
     if not isinstance(channel.source, str):
         raise CardError(f"{place} {key}: must be a column, not the constant {channel.source:g}")
     return channel

@@ -3,6 +3,7 @@
 Commands that a vehicle on the ground does not follow, climb before take-off or descent after landing, are dropped.
 """
 
+import math
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -180,6 +181,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         *stamped,
         *corrected,
         *_clock_notes(clocks, len(commands.stamps)),
+        *_error_notes(card),
         *cut,
         *_cut_notes(seen, segments, heading, yaw),
     )
@@ -209,9 +211,17 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
         clocks=clocks,
         velocity=velocity,
-        stamp_error=float(np.hypot(stamp_error, unseen)),
+        stamp_error=math.hypot(stamp_error, unseen, card.command_time.error, card.pose_time.error),
         command_lateness=_row_period(log, card),
     )
+
+
+def _error_notes(card: Card) -> Iterator[Note]:
+    """What the card states about its stamps."""
+    for what, time in (("commands", card.command_time), ("poses", card.pose_time)):
+        if time.error:
+            text = f"stamps of the {what} are known to +-{1e3 * time.error:.3g} ms (95 %), by the card: the interval of"
+            yield Note("stamp_error", f"{text} every delay holds it", 1)
 
 
 def _row_period(log: Log, card: Card) -> float:

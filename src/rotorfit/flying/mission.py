@@ -106,7 +106,7 @@ def attached_to(plan: Plan, ready: Ready, link: str) -> dict[str, str]:
     """What a recording has besides its streams: the plan and the card as TOML, and the link as given."""
     import tomli_w
 
-    card = tomli_w.dumps(card_as_recorded(plan.card, ready.pose_clock))
+    card = tomli_w.dumps(card_as_recorded(plan.card, ready.pose_clock, pose_error=ready.pose_error))
     return {"plan": plan_text(plan), "card": card, "link": link}
 
 

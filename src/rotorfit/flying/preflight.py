@@ -58,11 +58,13 @@ class Ready:
         checks: In the order in which they were made.
         pose_clock: Column of the recording that times the poses: `header.stamp`, or `log_time` if the sender's clock
             is not the link's.
+        pose_error: Half the 95 % interval of what all stamps of the poses may be off by [s]; 0 if unknown.
         notes: What a user should know although it does not prevent the flight.
     """
 
     checks: tuple[Check, ...]
     pose_clock: str
+    pose_error: float = 0.0
     notes: tuple[str, ...] = ()
 
 
@@ -99,7 +101,10 @@ def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool =
     checks += _silent(plan, link)
     checks += _rehearsed(plan, limits)
     clock, notes = _clock(poses)
-    return Ready(tuple(checks), clock, (*notes, *dict.fromkeys(sample.text for sample in samples if sample.text)))
+    stated = (card or card_from_mapping(plan.card, f"of plan {plan.name}")).pose_time.error
+    error = max(stated, poses[-1].error) if poses and clock == "header.stamp" else 0.0
+    said = dict.fromkeys(sample.text for sample in samples if sample.text)
+    return Ready(tuple(checks), clock, error, (*notes, *said))
 
 
 def refuse(ready: Ready) -> None:
@@ -132,6 +137,8 @@ def _rate(poses: Sequence[Sample]) -> Check:
     values = {pose.values for pose in poses}
     rate = len(poses) / LISTENING
     text = f"{rate:.0f} a second, {100 * (1 - len(values) / len(poses)):.0f} % repeated"
+    if error := poses[-1].error:
+        text += f", when to {1e3 * error:.1f} ms"
     if rate < SLOWEST:
         return Check("pose", False, f"{text}; at least {SLOWEST:g} a second are needed")
     return Check("pose", True, text)

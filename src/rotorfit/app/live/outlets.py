@@ -103,7 +103,9 @@ class Recording:
         import tomli_w
 
         self._written = {name: clock.name for name, clock in self._clocks.items()}
-        return tomli_w.dumps(card_as_recorded(self._card.raw, self._written["pose"], self._written["command"]))
+        pose, command = self._clocks.values()
+        error = max(self._card.pose_time.error, pose.error) if pose.name == "header.stamp" else 0.0
+        return tomli_w.dumps(card_as_recorded(self._card.raw, pose.name, command.name, error))
 
     def _correct(self, recorder: Recorder) -> None:
         """Writes the card again if the commands have another clock than it says."""
@@ -164,11 +166,12 @@ class _ClockOf:
         name: The sender's clock, `header.stamp`, or that of the arrival, `log_time`.
         told: Whether the samples so far settle it.
         heard: Whether a sample has come.
+        error: Half the 95 % interval of what its stamps may be off by [s]; 0 if unknown.
     """
 
     def __init__(self, stream: str) -> None:
         self._stream, self._first = stream, list[Sample]()
-        self.name, self.told = "header.stamp", False
+        self.name, self.told, self.error = "header.stamp", False, 0.0
 
     @property
     def heard(self) -> bool:
@@ -179,6 +182,7 @@ class _ClockOf:
         if self.told:
             return
         first = self._first = [*self._first, *(one for one in samples if one.stream == self._stream)]
+        self.error = first[-1].error if first else 0.0
         late = [(one.received - one.stamp) / 1e9 for one in first]
         ours = not late or any(ONE_CLOCK[0] <= one <= ONE_CLOCK[1] for one in late)
         self.name = "header.stamp" if ours else "log_time"

@@ -76,6 +76,9 @@ WAITING = 256
 """Number of bytes that may wait in a TCP connection: four commands, as many as the kernel lets wait for a serial
 line."""
 
+UNANSWERED = 5
+"""Number of requests for the clock without any answer after which that is told; within the preflight."""
+
 BEHIND, REQUESTS = SECOND // 2, 50
 """Time that a request for the clock and its answer may take in flight [ns], and how many requests are remembered."""
 
@@ -133,6 +136,7 @@ class MavlinkLink:
         self._missing = dict(self._streams)  # messages that have not come yet
         self._requested = self._requested_times = 0  # when they were last asked for, and how often
         self._requests = deque[int](maxlen=REQUESTS)  # for the autopilot's clock, when they were made
+        self._answers = False  # whether a request for the clock was answered, or it was told that none is
         self._echoed = self._trip = 0  # when the last answer came, and how long it took [ns]
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
         self._asked, self._tries, self._said = 0, 0, "no answer"
@@ -334,7 +338,7 @@ class MavlinkLink:
             if self._known.name == "ArduPilot" and not self._steps and message.landed_state == IN_AIR:
                 self._climbing = False
         elif kind == "TIMESYNC" and message.tc1 > 0 and message.ts1 in self._requests:
-            self._echoed, self._trip = received, received - message.ts1
+            self._answers, self._echoed, self._trip = True, received, received - message.ts1
             step = self._poses.clock.exchanged(message.ts1, message.tc1, received)
             if step:
                 self._tell(
@@ -463,6 +467,7 @@ class MavlinkLink:
         if self._autopilot is not None and now - self._synced >= SYNC_PERIOD:
             self._synced = now
             self._requests.append(now)
+            self._tell_clock(now)
             self._say("timesync", 0, now)
         wanted = self._missing or (self._commands is not None and self._goes_on is None)
         overdue = self._requested and wanted and now - self._requested >= 2 * SECOND
@@ -479,6 +484,16 @@ class MavlinkLink:
                 self._repeat()
             else:
                 self._give_up(self._said)
+
+    def _tell_clock(self, now: int) -> None:
+        """Tells once that nothing relates the autopilot's clock to ours but the arrival of its messages."""
+        if not self._answers and len(self._requests) >= UNANSWERED:
+            self._answers = True
+            self._tell(
+                f"{self._known.name} does not answer TIMESYNC: its poses are timed by the least delayed arrival, and "
+                "the delay that is fitted holds their way, which nothing tells",
+                now,
+            )
 
     def _close(self) -> None:
         if self._open:

@@ -7,7 +7,7 @@ Mode"; ArduPilot developer guide, "Copter Commands in Guided Mode".
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import linear_regression
 from typing import Any
 
@@ -208,6 +208,11 @@ class SenderClock:
         self._least = received, offset
         return theirs + offset
 
+    @property
+    def error(self) -> float:
+        """Half the 95 % interval of the offset [s]: the shortest round trip may be all in one way; 0 if unknown."""
+        return 0.5e-9 * min((trip for _, trip, _ in self._exchanges), default=0)
+
     def exchanged(self, sent: int, theirs: int, received: int) -> int:
         """Takes an answer to TIMESYNC.
 
@@ -296,7 +301,8 @@ class Poses:
             share = (stamp - before[0]) / max(after[0] - before[0], 1)
             quaternion = between(before[1], after[1], share)
             ours = self._clock.ours(stamp, received)
-            samples += _samples(ours, received, position, quaternion, velocity, after[2])
+            found = _samples(ours, received, position, quaternion, velocity, after[2])
+            samples += [replace(one, error=self._clock.error) for one in found]
         return samples
 
     def _odometry(self, message: Any, received: int) -> list[Sample]:
@@ -306,7 +312,8 @@ class Poses:
             return []
         self._whole = True
         ours = self._clock.ours(message.time_usec * 1000, received)
-        return [Sample("pose", ours, received, enu_from_ned(values[:3], values[3:]))]
+        pose = enu_from_ned(values[:3], values[3:])
+        return [Sample("pose", ours, received, pose, error=self._clock.error)]
 
 
 def _samples(
