@@ -22,7 +22,15 @@ from rotorfit.flying.links import link as wall_clock
 from rotorfit.flying.links import mavlink, mavlink_listener
 from rotorfit.flying.links.card_window import obedience
 from rotorfit.flying.links.mavlink_listener import MavlinkListener, _field
-from rotorfit.flying.links.mavlink_messages import AUTOPILOTS, Poses, SenderClock, between, mavlink_commands, setpoint
+from rotorfit.flying.links.mavlink_messages import (
+    AUTOPILOTS,
+    Poses,
+    SenderClock,
+    between,
+    mavlink_commands,
+    moved,
+    setpoint,
+)
 
 pymavlink = pytest.importorskip("pymavlink", reason="pip install 'rotorfit[mavlink]'")
 
@@ -636,6 +644,64 @@ def test_the_attitude_is_interpolated_to_the_instant_of_the_position() -> None:
     heading = math.pi / 2 - float(yaw_from_quaternion(*np.array(late[0].values[3:])))
     assert heading == pytest.approx(0.35, abs=1e-4)
     assert late[1].values == pytest.approx((0.3 * math.cos(0.35), 0.3 * math.sin(0.35), 0.1, -0.5), abs=1e-4)
+
+
+@pytest.mark.parametrize("later", [0, 10])
+def test_slow_attitudes_make_one_pose_each_at_their_own_instant(later: int) -> None:
+    """Fifty positions a second, five attitudes: none between them is made up."""
+    poses, found = Poses(), list[Sample]()
+    for ms in range(0, 3000, 20):
+        t = ms / 1e3
+        found += poses.take(message("LOCAL_POSITION_NED", ms, x=t**2, y=0.0, z=-1.0, vx=2 * t, vy=0.0, vz=0.0), ms * MS)
+        if ms % 200 == 0:
+            found += poses.take(turned(ms + later, t), ms * MS)
+
+    assert poses.turns_slowly
+    whole = [sample for sample in found if sample.stream == "pose"]
+    assert len(whole) == 15
+    for k, pose in enumerate(whole):
+        assert pose.values[1] == pytest.approx((0.2 * k + later / 1e3) ** 2, abs=1e-9)  # north
+        heading = math.pi / 2 - float(yaw_from_quaternion(*np.array(pose.values[3:])))
+        assert heading == pytest.approx(0.2 * k, abs=1e-6)  # as it was told
+
+
+def test_attitudes_as_fast_as_positions_make_a_pose_of_each_position() -> None:
+    poses, found = Poses(), 0
+    for ms in range(0, 3000, 20):
+        late = 4 * (ms // 20 % 3)
+        found += len(poses.take(turned(ms + late, 0.2), ms * MS))
+        place = message("LOCAL_POSITION_NED", ms + 8 - late, x=1.0, y=0.0, z=-1.0, vx=0.3, vy=0.0, vz=-0.1)
+        found += len(poses.take(place, ms * MS))
+
+    assert not poses.turns_slowly
+    assert found >= 2 * 147
+
+
+def test_between_two_positions_the_vehicle_moves_by_its_velocity_or_straight() -> None:
+    def at(t: float, known: float = 1.0) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
+        return round(1e9 * t), (t**3, 2.0, 0.0), (3 * t**2 * known, 0.0, 0.0)
+
+    place, velocity = moved(at(1.0), at(1.2), round(1.15e9))
+    assert place == pytest.approx((1.15**3, 2.0, 0.0))
+    assert velocity[0] == pytest.approx(3 * 1.15**2, rel=0.01)
+    straight, _ = moved(at(1.0, math.nan), at(1.2, math.nan), round(1.15e9))
+    assert straight == pytest.approx((1.0 + 0.75 * (1.2**3 - 1.0), 2.0, 0.0))
+
+
+def test_slow_attitudes_are_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, mode="flying")
+    bench.link.greet()
+    mav, texts = bench.autopilot.connection.mav, list[str]()
+    for k in range(100):
+        mav.local_position_ned_send(20 * k, 1.0, 2.0, -1.0, 0.0, 0.0, 0.0)
+        if k % 7 == 0:
+            mav.attitude_send(20 * k, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+        texts += [one.text for one in bench.link.receive(bench.instant + 20 * MS) if one.text]
+
+    assert texts == [
+        "attitudes come 7 times a second, positions 50 times: there is one pose for each attitude; ask the autopilot "
+        "for more (ArduPilot: SRx_EXTRA1)"
+    ]
 
 
 def test_poses_go_on_at_once_where_the_senders_clock_goes_back() -> None:

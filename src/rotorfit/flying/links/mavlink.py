@@ -136,6 +136,7 @@ class MavlinkLink:
         self._missing = dict(self._streams)  # messages that have not come yet
         self._requested = self._requested_times = 0  # when they were last asked for, and how often
         self._requests = deque[int](maxlen=REQUESTS)  # for the autopilot's clock, when they were made
+        self._slow_told = False  # whether it was told that attitudes are slow
         self._answers = False  # whether a request for the clock was answered, or it was told that none is
         self._echoed = self._trip = 0  # when the last answer came, and how long it took [ns]
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
@@ -328,6 +329,7 @@ class MavlinkLink:
             self._watch_mode(mode_of(self._known, message.custom_mode))
         elif kind in _ATTITUDES:
             self._inbox += self._poses.take(message, received)
+            self._tell_slow_attitude(received)
         elif kind in ("SYS_STATUS", "BATTERY_STATUS"):
             left = battery(message)
             self._inbox += [] if left is None else [Sample("battery", received, received, (left,))]
@@ -352,6 +354,16 @@ class MavlinkLink:
 
     def _tell(self, text: str, received: int) -> None:
         self._inbox.append(Sample("said", received, received, (), text))
+
+    def _tell_slow_attitude(self, received: int) -> None:
+        """Tells once that there are fewer poses than positions."""
+        if self._poses.turns_slowly and not self._slow_told:
+            self._slow_told, rates = True, self._poses.rates
+            self._tell(
+                f"attitudes come {rates['attitude']:.0f} times a second, positions {rates['position']:.0f} times: "
+                "there is one pose for each attitude; ask the autopilot for more (ArduPilot: SRx_EXTRA1)",
+                received,
+            )
 
     def _meet(self, heartbeat: Any, source: tuple[int, int]) -> None:
         """Takes a sender for the vehicle, if it can be flown: an antenna tracker on the same line has an autopilot."""

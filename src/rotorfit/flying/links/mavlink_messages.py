@@ -8,7 +8,8 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from statistics import linear_regression
+from itertools import pairwise
+from statistics import linear_regression, median
 from typing import Any
 
 from rotorfit.core.card import Card
@@ -46,6 +47,10 @@ TAKE_OFF_HEIGHT = 1.5
 """Take-off height, which ArduPilot requires [m]."""
 
 ATTITUDES_KEPT, POSITIONS_KEPT = 50, 50
+
+RECENT, SLOWER = 11, 1.5
+"""Number of messages whose intervals are the usual ones, and how many times longer those of attitudes are where they
+are slower than positions."""
 
 OVERTAKING = 200_000_000
 """How far messages may overtake each other [ns]; a stamp that lies further back is of a clock that went back."""
@@ -254,14 +259,30 @@ class SenderClock:
 class Poses:
     """Combines positions and attitudes of one sender into poses; the attitude is interpolated to the position's time.
 
-    A position waits for the next attitude: with the last one instead, the yaw would lag by half its period.
+    A position waits for the next attitude: with the last one instead, the yaw would lag by half its period. Where
+    attitudes are slower, there is one pose for each, and the position is interpolated: attitudes interpolated to every
+    position would be measurements that nobody made, of a turn that straight lines between few points make smaller.
     """
 
     def __init__(self) -> None:
         self._clock = SenderClock()
         self._attitudes: deque[tuple[int, tuple[float, ...], float]] = deque(maxlen=ATTITUDES_KEPT)
         self._positions: deque[tuple[int, tuple[float, ...], tuple[float, ...]]] = deque(maxlen=POSITIONS_KEPT)
+        self._recent = {kind: deque[int](maxlen=RECENT) for kind in ("position", "attitude")}  # their stamps
+        self._last = -1  # stamp of the last pose, by the sender's clock
         self._whole = False
+
+    @property
+    def rates(self) -> dict[str, float]:
+        """Usual number of positions and attitudes a second; of a kind that has not come twice there is none."""
+        steps = {kind: [b - a for a, b in pairwise(stamps)] for kind, stamps in self._recent.items()}
+        return {kind: 1e9 / max(median(found), 1) for kind, found in steps.items() if found}
+
+    @property
+    def turns_slowly(self) -> bool:
+        """Whether attitudes come slower than positions."""
+        rates = self.rates
+        return len(rates) == 2 and rates["position"] > SLOWER * rates["attitude"]
 
     @property
     def clock(self) -> SenderClock:
@@ -279,6 +300,10 @@ class Poses:
         if self._attitudes and stamp < self._attitudes[-1][0] - OVERTAKING:
             self._attitudes.clear()
             self._positions.clear()
+            for stamps in self._recent.values():
+                stamps.clear()
+            self._last = -1
+        self._recent["position" if kind == "LOCAL_POSITION_NED" else "attitude"].append(stamp)
         if kind == "LOCAL_POSITION_NED":
             position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
             self._positions.append((stamp, position, velocity))
@@ -288,22 +313,41 @@ class Poses:
             else:
                 quaternion = quaternion_from_euler(message.roll, message.pitch, message.yaw)
             self._attitudes.append((stamp, quaternion, message.yawspeed))
-        return self._complete(received)
+        return self._at_attitudes(received) if self.turns_slowly else self._at_positions(received)
 
-    def _complete(self, received: int) -> list[Sample]:
+    def _at_attitudes(self, received: int) -> list[Sample]:
+        """A pose for each attitude between two positions."""
+        samples: list[Sample] = []
+        for stamp, quaternion, yaw_rate in [one for one in self._attitudes if one[0] > self._last]:
+            if not self._positions or self._positions[-1][0] < stamp:
+                break
+            while len(self._positions) > 1 and self._positions[1][0] < stamp:
+                self._positions.popleft()
+            self._last = stamp
+            if len(self._positions) > 1 and self._positions[0][0] <= stamp:
+                position, velocity = moved(self._positions[0], self._positions[1], stamp)
+                samples += self._samples(stamp, received, position, quaternion, velocity, yaw_rate)
+        return samples
+
+    def _at_positions(self, received: int) -> list[Sample]:
+        """A pose for each position between two attitudes."""
         samples: list[Sample] = []
         while self._positions and len(self._attitudes) > 1 and self._attitudes[-1][0] >= self._positions[0][0]:
             stamp, position, velocity = self._positions.popleft()
             later = next(place for place, one in enumerate(self._attitudes) if one[0] >= stamp)
             if later == 0:  # older than all attitudes: the first position
                 continue
+            self._last = max(self._last, stamp)
             before, after = self._attitudes[later - 1], self._attitudes[later]
             share = (stamp - before[0]) / max(after[0] - before[0], 1)
             quaternion = between(before[1], after[1], share)
-            ours = self._clock.ours(stamp, received)
-            found = _samples(ours, received, position, quaternion, velocity, after[2])
-            samples += [replace(one, error=self._clock.error) for one in found]
+            samples += self._samples(stamp, received, position, quaternion, velocity, after[2])
         return samples
+
+    def _samples(self, stamp: int, received: int, *measured: Any) -> list[Sample]:
+        """What was measured, on our clock, with its uncertainty."""
+        found = _samples(self._clock.ours(stamp, received), received, *measured)
+        return [replace(one, error=self._clock.error) for one in found]
 
     def _odometry(self, message: Any, received: int) -> list[Sample]:
         """In MAV_FRAME_LOCAL_NED (1), or LOCAL_FRD (20), whose x is some other fixed direction; no velocity."""
@@ -335,6 +379,25 @@ def _samples(
         values = (c * north + s * east, s * north - c * east, -down, -yaw_rate)
         samples.append(Sample("velocity", stamp, received, values))
     return samples
+
+
+_Moving = tuple[int, tuple[float, ...], tuple[float, ...]]
+"""Stamp [ns], position and velocity."""
+
+
+def moved(before: _Moving, after: _Moving, stamp: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Position and velocity at an instant between two: the cubic with their positions and velocities at its ends.
+
+    Without velocities it is a straight line.
+    """
+    seconds = max(after[0] - before[0], 1) / 1e9
+    s = (stamp - before[0]) / 1e9 / seconds
+    position = []
+    for p, q, v, w in zip(before[1], after[1], before[2], after[2], strict=True):
+        slopes = (seconds * v, seconds * w) if math.isfinite(v + w) else (q - p, q - p)
+        bend = (1 - s) * (slopes[0] - (q - p)) - s * (slopes[1] - (q - p))
+        position.append(p + s * (q - p) + s * (1 - s) * bend)
+    return tuple(position), tuple((1 - s) * v + s * w for v, w in zip(before[2], after[2], strict=True))
 
 
 def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
