@@ -35,14 +35,16 @@ class Half:
 
 def test_commands_go_to_the_first_and_poses_come_from_the_second() -> None:
     first = Half(Sample("battery", 1, 3, (0.5,)), Sample("pose", 1, 1, (9.0,) * 7))
-    second = Half(Sample("pose", 2, 2, (1.0,) * 7), Sample("velocity", 2, 2, (1.0,) * 4))
+    said = Sample("said", 4, 4, (), "the autopilot's clock stepped by +2.000 s: poses before that are mistimed")
+    second = Half(Sample("pose", 2, 2, (1.0,) * 7), Sample("velocity", 2, 2, (1.0,) * 4), said)
     link = Joined(first, second)
 
     link.send((0.1, 0.0, 0.0, 0.0))
     for action in ("take_off", "land", "close"):
         link.act(action)  # type: ignore[arg-type]
 
-    assert [(sample.stream, sample.received) for sample in link.receive(7)] == [("pose", 2), ("battery", 3)]
+    taken = [(sample.stream, sample.received) for sample in link.receive(7)]
+    assert taken == [("pose", 2), ("battery", 3), ("said", 4)]
     assert (first.sent, second.sent) == ([(0.1, 0.0, 0.0, 0.0)], [])
     assert (first.acted, second.acted) == (["take_off", "land", "close"], ["close"])
     assert (link.now, link.live, link.fail_safe) == (5, True, "It hovers.")

@@ -63,8 +63,8 @@ class Joined:
         return self._commands.send(command)
 
     def receive(self, until: int) -> list[Sample]:
-        """Poses of the second link, everything else of the first, in the order of arrival."""
-        poses = [sample for sample in self._poses.receive(until) if sample.stream == "pose"]
+        """Poses of the second link and what it says, everything else of the first, in the order of arrival."""
+        poses = [sample for sample in self._poses.receive(until) if sample.stream in ("pose", "said")]
         rest = [sample for sample in self._commands.receive(until) if sample.stream != "pose"]
         return sorted(poses + rest, key=lambda sample: sample.received)
 
