@@ -856,6 +856,23 @@ def test_a_listener_turns_velocities_along_the_world_to_the_heading(monkeypatch:
     assert command.values == pytest.approx((2.0, 0.5, 1.0, 0.3), abs=1e-6)
 
 
+@pytest.mark.parametrize("mask", [0b1101_1100_0000, 0b1101_1110_0011, 0b1101_1111_1000])
+def test_a_setpoint_of_a_position_is_no_velocity_command(monkeypatch: pytest.MonkeyPatch, mask: int) -> None:
+    """With velocities beside it, of the height alone, and without velocities."""
+    bench = Overheard(monkeypatch)
+    bench.autopilot.mode = (6, 0)
+    monkeypatch.setattr(bench.autopilot, "_fly", lambda: None)  # it stays in OFFBOARD
+    bench.link.greet()
+    bench.hear(1.0)
+    velocity, place = (0, 1, 1, 8, 1479, 0, 0, 0, 0.5, 0, 0, 0, 0, 0, 0, 0), (0, 1, 1, 1, mask, 1, 2, -3, *[0.0] * 8)
+    told = []
+    for setpoint_ in (velocity, place, velocity):
+        bench.pilot.set_position_target_local_ned_send(*setpoint_)
+        told += [(one.stream, one.values[0]) for one in bench.hear(0.1) if one.stream in ("command", "obeys")]
+
+    assert told == [("command", 0.5), ("obeys", 0.0), ("obeys", 1.0), ("command", 0.5)]
+
+
 def test_a_listener_says_when_the_vehicle_does_not_obey(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Overheard(monkeypatch)
     bench.link.greet()

@@ -28,8 +28,8 @@ WORLD, TURNED = (1, 7), (8, 9, 12)
 """MAV_FRAMEs whose velocities are along north, east, down (LOCAL_NED, LOCAL_OFFSET_NED), and along the heading
 (BODY_NED, BODY_OFFSET_NED, BODY_FRD)."""
 
-NO_VELOCITY, NO_YAW_RATE = 0b11_1000, 0b1000_0000_0000
-"""Bits of the type mask: ignore the velocities, ignore the yaw rate."""
+NO_POSITION, NO_VELOCITY, NO_YAW_RATE = (0b1, 0b10, 0b100), 0b11_1000, 0b1000_0000_0000
+"""Bits of the type mask: ignore x, y, z; ignore the velocities; ignore the yaw rate."""
 
 
 def open_listener(address: str, card: Card) -> "MavlinkListener":
@@ -62,6 +62,7 @@ class MavlinkListener(MavlinkLink):
         self._heading: float | None = None
         self._window = window or Obedience({})
         self._forwarded, self._landed = False, 0
+        self._by_velocity = True  # whether the last setpoint that was forwarded commands velocities alone
         self._inbox += self._window.begun(wall_clock())
 
     def act(self, action: Action) -> None:
@@ -100,15 +101,21 @@ class MavlinkListener(MavlinkLink):
         if kind in ("ATTITUDE_QUATERNION", "ATTITUDE") and self._is_target(message):
             self._heading = _heading(message)
         elif kind == SETPOINT and self._autopilot and message.target_system in (0, self._target[0]):
-            self._forwarded = True
-            self._inbox += self._command_heard(message, received, received)
+            self._forwarded, self._by_velocity = True, _is_velocity(message)
+            self._tell_obedience(received)
+            if self._by_velocity:
+                self._inbox += self._command_heard(message, received, received)
         elif kind == ECHO and not self._forwarded and self._is_target(message):
             stamp = self._poses.clock.ours(message.time_boot_ms * 1_000_000, received)
             self._inbox += self._command_heard(message, stamp, received)
 
     def _tell_obedience(self, received: int) -> None:
-        """Updates whether the vehicle obeys the received commands: in the air, in the mode for external commands."""
-        obeys = self._landed in (0, IN_AIR) and (self._in_our_mode or not self._forwarded)
+        """Updates whether the vehicle obeys the received velocities: in the air, in the mode for external commands.
+
+        It does not where a position is commanded as well: then velocities are no more than a help to reach it.
+        """
+        theirs = self._in_our_mode and self._by_velocity
+        obeys = self._landed in (0, IN_AIR) and (theirs or not self._forwarded)
         self._inbox += self._window.reported(obeys, received)
 
     def _is_target(self, message: Any) -> bool:
@@ -133,6 +140,14 @@ class MavlinkListener(MavlinkLink):
 
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED of a heartbeat's base mode."""
+
+
+def _is_velocity(message: Any) -> bool:
+    """Whether a setpoint commands all velocities, and no position; NaN counts as ignored, as for the autopilots."""
+    places = zip(NO_POSITION, (message.x, message.y, message.z), strict=True)
+    placed = any(not message.type_mask & bit and not math.isnan(value) for bit, value in places)
+    moved = all(map(math.isfinite, (message.vx, message.vy, message.vz))) and not message.type_mask & NO_VELOCITY
+    return moved and not placed and message.coordinate_frame in (*WORLD, *TURNED)
 
 
 def _field(message: Any, name: str) -> float:
