@@ -31,6 +31,7 @@ class Autopilot:
         self.mode = (5,) if ardupilot else (POSITION, 0)
         self._setpoints: list[int] = []
         self._beat = self._state = -SECOND
+        self.killed = False  # by a switch, in the air, for tests
         self.vehicle_type = 2  # MAV_TYPE_QUADROTOR
         self.refuse: dict[int, int] = {}  # commands to the results that answer them instead of obedience
         self.mute: set[int] = set()  # commands that it neither obeys nor answers
@@ -72,7 +73,8 @@ class Autopilot:
         if now - self._beat >= SECOND:
             self._beat = now
             custom = self.mode[0] if self.ardupilot else self.mode[0] << 16 | self.mode[1] << 24
-            mav.heartbeat_send(self.vehicle_type, 3 if self.ardupilot else 12, 1 | 128 * self.armed, custom, 4)
+            armed = not self.killed and (self.armed or self._room.mode() != "grounded")
+            mav.heartbeat_send(self.vehicle_type, 3 if self.ardupilot else 12, 1 | 128 * armed, custom, 4)
         if now - self._state >= SECOND // 2:
             self._state = now
             mav.extended_sys_state_send(0, LANDED[self._room.mode()])

@@ -183,6 +183,33 @@ def test_an_answer_to_another_ground_station_is_not_ours(bench: Bench) -> None:
     assert bench.room.asked == ["take_off"]
 
 
+@pytest.mark.parametrize("what", ["is disarmed", "is on the ground"])
+def test_a_vehicle_that_cannot_fly_any_more_is_sent_no_more_commands(bench: Bench, what: str) -> None:
+    """By its kill switch, or after a crash; armed again it would obey the plan at once."""
+    bench.link.greet()
+    bench.link.act("take_off")
+    bench.fly(5.0)
+    if what == "is disarmed":
+        bench.autopilot.killed = True
+    else:
+        bench.room.flight_mode = "grounded"
+    with pytest.raises(LinkError, match=rf"says that the vehicle {what}; it is sent no more commands"):
+        bench.fly(2.0)
+    sent = len(bench.room.commands)
+    for command in ((0.1, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)):
+        with pytest.raises(LinkError, match="no more commands"):
+            bench.link.send(command)
+    assert len(bench.room.commands) == sent
+
+
+def test_one_message_that_it_is_on_the_ground_ends_nothing(bench: Bench) -> None:
+    bench.link.greet()
+    bench.link.act("take_off")
+    bench.fly(5.0)
+    bench.autopilot.connection.mav.extended_sys_state_send(0, 1)
+    bench.fly(3.0)
+
+
 def test_a_step_that_is_put_off_is_asked_for_again(bench: Bench) -> None:
     bench.autopilot.refuse[400] = 1
     bench.link.greet()

@@ -24,6 +24,7 @@ from rotorfit.flying.links.card_fields import CommandFields
 from rotorfit.flying.links.link import Action, Silence, seconds_until, wall_clock
 from rotorfit.flying.links.mavlink_messages import (
     ACCEPTED,
+    ARMED,
     AUTOPILOTS,
     FLOWN,
     IN_AIR,
@@ -327,6 +328,8 @@ class MavlinkLink:
         if kind == "HEARTBEAT":
             self._heard = received
             self._watch_mode(mode_of(self._known, message.custom_mode))
+            if not message.base_mode & ARMED:
+                self._end_if_flown("is disarmed")
         elif kind in _ATTITUDES:
             self._inbox += self._poses.take(message, received)
             self._tell_slow_attitude(received)
@@ -336,7 +339,9 @@ class MavlinkLink:
         elif kind == "COMMAND_ACK" and _is_ours(message):
             self._answered(message.command, message.result)
         elif kind == "EXTENDED_SYS_STATE":
-            self._on_ground = message.landed_state == ON_GROUND
+            still, self._on_ground = self._on_ground, message.landed_state == ON_GROUND
+            if self._on_ground and still:  # one alone may be a mistake of its landing detector
+                self._end_if_flown("is on the ground")
             if self._known.name == "ArduPilot" and not self._steps and message.landed_state == IN_AIR:
                 self._climbing = False
         elif kind == "TIMESYNC" and message.tc1 > 0 and message.ts1 in self._requests:
@@ -388,6 +393,13 @@ class MavlinkLink:
             )
         self._engaged = self._engaged or (ours and self._sending)
         self._ours = self._ours or self._engaged
+
+    def _end_if_flown(self, state: str) -> None:
+        """Ends our commands where a vehicle under them says that it cannot fly them: armed again, it would obey."""
+        if self._engaged and not self._climbing and not self._landing:
+            self._trouble = self._trouble or (
+                f"mavlink: {self._known.name} says that the vehicle {state}; it is sent no more commands"
+            )
 
     def _ask(self, *steps: str) -> None:
         self._declined, self._untold, self._refused = "", False, None

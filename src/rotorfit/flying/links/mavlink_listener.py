@@ -20,7 +20,7 @@ from rotorfit.flying.links.card_fields import CommandFields, command_values
 from rotorfit.flying.links.card_window import Obedience, obedience
 from rotorfit.flying.links.link import Action, wall_clock
 from rotorfit.flying.links.mavlink import SILENCE, MavlinkLink, connect
-from rotorfit.flying.links.mavlink_messages import FIELDS, IN_AIR, SETPOINT, STREAMS, mavlink_commands
+from rotorfit.flying.links.mavlink_messages import ARMED, FIELDS, IN_AIR, SETPOINT, STREAMS, mavlink_commands
 
 ECHO = "POSITION_TARGET_LOCAL_NED"
 
@@ -136,10 +136,6 @@ class MavlinkListener(MavlinkLink):
         raw = dict(zip(FIELDS, (vx, vy, message.vz, 0.0 if math.isnan(rate) else rate), strict=True))
         values = command_values(self._fields, raw.__getitem__)
         return [] if values is None else [Sample("command", stamp, received, values)]
-
-
-ARMED = 128
-"""MAV_MODE_FLAG_SAFETY_ARMED of a heartbeat's base mode."""
 
 
 def _is_velocity(message: Any) -> bool:

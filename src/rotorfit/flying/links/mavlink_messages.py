@@ -116,6 +116,9 @@ FLOWN = (2, 3, 4, 13, 14, 15, 29, 35, 43)
 Numbers of modes mean something else on other vehicles: GUIDED of ArduPilot Copter is ACRO of Plane.
 """
 
+ARMED = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED of a heartbeat's base mode."""
+
 ON_GROUND, IN_AIR = 1, 2
 """MAV_LANDED_STATE_ON_GROUND, _IN_AIR."""
 
