@@ -11,7 +11,9 @@ from streams import CARD, SECOND, flown, frozen, jumped, mixed
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Alarm
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.tracking import growing_flight
+from rotorfit.tracking.flight_so_far import FlightSoFar
 from rotorfit.tracking.growing_flight import GrowingFlight
 
 TAKEN_OFF, SINKS, DURATION = 4.0, 51.0, 59.0
@@ -216,6 +218,18 @@ def test_commands_that_were_not_heard_are_not_guessed() -> None:
     assert not alarms
     assert len(flight.segments) == 2
     assert flight.segments[1].start - flight.segments[0].end == pytest.approx(0.22, abs=0.05)
+
+
+def test_what_a_link_does_not_know_of_its_stamps_goes_to_the_flight_here_and_beside() -> None:
+    time = {"from": CARD.raw["command"]["time"], "error": 0.04}
+    card = card_from_mapping({**CARD.raw, "command": {**CARD.raw["command"], "time": time}}, "stated")
+    growing, beside = GrowingFlight(card), FlightSoFar(card)
+    for sample in flown()[:4000]:
+        growing.add(replace(sample, error=0.03 * (sample.stream == "pose")))
+    beside.take(growing.news())
+    flights = growing.flight(), beside.flight(), grown(flown()[:4000])[0]
+
+    assert [flight and flight.stamp_error for flight in flights] == [0.05, 0.05, 0.0]
 
 
 def test_yaw_goes_on_over_the_turn() -> None:

@@ -180,6 +180,8 @@ class GrowingFlight:
             return self._left_out("not_numbers")
         if time < 0:  # measured before the first command
             return False
+        if sample.error and sample.stream == "pose":
+            self._so_far.pose_error(sample.error)
         took = self._command(time, sample.values) if sample.stream == "command" else self._pose(time, sample.values)
         self._so_far.now = max(self.now, time)
         return took
