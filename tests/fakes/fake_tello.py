@@ -29,6 +29,7 @@ class Tello:
         self._told = 0
         self._pose: tuple[float, ...] | None = None
         self._charge = 1.0
+        self.pad = 1  # its number, for tests
         self.deaf = False  # sends nothing, for tests
         self.heard: list[str] = []
         self.mute: set[str] = set()  # words that it neither obeys nor answers, for tests
@@ -72,7 +73,7 @@ class Tello:
         if self._looking:
             mid, x, y, z = -1, -100, -100, -100
         if self._looking and self._pose is not None:
-            mid, (x, y, z) = 1, (round(100 * one) for one in self._pose[:3])
+            mid, (x, y, z) = self.pad, (round(100 * one) for one in self._pose[:3])
             yaw = round(math.degrees(-yaw_of(self._pose)))
         return (
             f"mid:{mid};x:{x};y:{y};z:{z};mpry:0,0,{yaw};pitch:0;roll:0;yaw:{yaw};vgx:0;vgy:0;vgz:0;templ:60;temph:62;"

@@ -92,6 +92,26 @@ def test_a_tello_without_pads_gives_no_pose(room: StubRoom) -> None:
     assert streams == {"battery"}
 
 
+def test_positions_over_another_pad_are_left_out_and_it_is_told_once(room: StubRoom) -> None:
+    """They are relative to that pad: the fence would be somewhere else."""
+    port = free_port()
+    drone = Tello(room, HOST, port)
+    with drone.socket, running(drone.step):
+        link = tello.open_link(f"{HOST}:{port}", load_card("tello"))
+        link.receive(link.now + TENTH)
+        drone.pad = 2
+        changed = link.receive(link.now + 2 * TENTH)
+        elsewhere = link.receive(link.now + 2 * TENTH)
+        drone.pad = 1
+        back = link.receive(link.now + 3 * TENTH)
+        link.act("close")
+
+    told = [sample.text for sample in changed if sample.text]
+    assert told == ["mission pad 2 is below, not 1: positions over it are left out"]
+    assert {sample.stream for sample in elsewhere} == {"battery"}
+    assert "pose" in {sample.stream for sample in back}
+
+
 def test_a_lost_link_is_an_error_at_the_next_command(room: StubRoom) -> None:
     port = free_port()
     drone = Tello(room, HOST, port)

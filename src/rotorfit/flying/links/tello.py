@@ -74,6 +74,7 @@ class TelloLink:
         self._talk, self._state = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._inbox: list[Sample] = []
         self._replies: list[str] = []
+        self._pads: list[float] = []  # numbers of the mission pads that were seen, in order
         self._asked, self._asked_at = "", 0  # `takeoff` or `land` until it is answered with ok, and when it was sent
         self._open_questions: list[str] = []  # what was sent and not answered yet, in order
         self._heard = wall_clock()
@@ -204,7 +205,19 @@ class TelloLink:
             self._replies.append(text)
         elif state := state_from_text(text):
             self._heard = wall_clock()
-            self._inbox += samples(state, self._poses, self._heard)
+            self._inbox += samples(self._of_one_pad(state), self._poses, self._heard)
+
+    def _of_one_pad(self, state: Mapping[str, float]) -> Mapping[str, float]:
+        """A state as without a pad where it is not the first pad: positions are relative to the pad that is seen."""
+        pad = state.get("mid", -1.0)
+        new = pad > 0 and pad not in self._pads
+        self._pads += [pad] if new else []
+        if pad <= 0 or pad == self._pads[0]:
+            return state
+        if new:
+            text = f"mission pad {pad:.0f} is below, not {self._pads[0]:.0f}: positions over it are left out"
+            self._inbox.append(Sample("said", self._heard, self._heard, (), text))
+        return {**state, "mid": -1.0}
 
     def _close(self) -> None:
         self._open = False
