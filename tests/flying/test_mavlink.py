@@ -521,6 +521,19 @@ def test_a_stranger_on_the_line_is_not_taken_for_the_vehicle(bench: Bench, kind:
     assert bench.link._target == (1, 1)
 
 
+def test_another_vehicle_on_the_line_is_told_once(bench: Bench) -> None:
+    bench.link.greet()
+    other = common.MAVLink(SimpleNamespace(write=lambda data: bench.wire.incoming.extend(parsed(data))), 2, 1)
+    texts = list[str]()
+    for _ in range(3):
+        other.heartbeat_send(2, 12, 128, 0, 4)
+        texts += [one.text for one in bench.link.receive(bench.instant + SECOND) if one.text]
+
+    assert texts == [
+        "two vehicles are heard: this is system 1, the first that was heard, not system 2; give each a port of its own"
+    ]
+
+
 def parsed(data: bytes) -> list[Any]:
     return common.MAVLink(None).parse_buffer(bytes(data)) or []
 

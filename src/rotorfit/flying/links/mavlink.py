@@ -128,6 +128,7 @@ class MavlinkLink:
         self._start = wall_clock()
         self._autopilot: AutopilotProtocol | None = None
         self._stranger = ""  # who else sends heartbeats
+        self._others: set[tuple[int, int]] = set()  # other vehicles that were told
         self._target = (0, 0)
         self._texts, self._spoken = SpokenTexts(), deque[tuple[int, str]](maxlen=TEXTS)
         self._refused: tuple[int, str] | None = None  # when, and what
@@ -321,6 +322,8 @@ class MavlinkLink:
         source = (message.get_srcSystem(), message.get_srcComponent())
         if kind == "HEARTBEAT" and self._autopilot is None and message.autopilot != 8:  # 8: no autopilot, but a camera
             self._meet(message, source)
+        if kind == "HEARTBEAT" and self._autopilot is not None:
+            self._tell_others(message, source, received)
         if self._autopilot is None or source != self._target:
             return
         if self._requested_times > 1:  # before, it may come at another rate than that asked for
@@ -359,6 +362,17 @@ class MavlinkLink:
 
     def _tell(self, text: str, received: int) -> None:
         self._inbox.append(Sample("said", received, received, (), text))
+
+    def _tell_others(self, heartbeat: Any, source: tuple[int, int], received: int) -> None:
+        """Tells once of each other vehicle: the operator may look at that one."""
+        flown = heartbeat.autopilot in AUTOPILOTS and heartbeat.type in FLOWN
+        if flown and source != self._target and source not in self._others:
+            self._others.add(source)
+            self._tell(
+                f"two vehicles are heard: this is system {self._target[0]}, the first that was heard, not system "
+                f"{source[0]}; give each a port of its own",
+                received,
+            )
 
     def _tell_slow_attitude(self, received: int) -> None:
         """Tells once that there are fewer poses than positions."""
