@@ -4,8 +4,8 @@
 
 Each vehicle flies 100 s in calm air, 1 mm mocap noise, a radio without jitter, a soft start; x with y, and z with yaw:
 slow (0.10 to 0.37 rad/s), usual (0.5 to 2.3 rad/s), and usual but wide (three times the amplitude); then all four axes
-at once, so that it flies while it turns. Printed is the difference of the fit (method ml) from the linear truth: the
-error of a first-order model with a delay.
+at once, so that it flies while it turns. Printed is the difference of the fit (method ml, `first_order_delay`) from the
+linear truth: the error of a first-order model with a delay.
 """
 
 import os
@@ -43,7 +43,7 @@ def flown(vehicle: Vehicle, frequency: tuple[float, ...], size: float, moved: tu
     stamps = np.round(t * 1e9).astype(np.int64)
     flight = fly_commands(vehicle, ROOM, stamps, commands, DURATION, 1, (0.0, 0.0, 30.0, 0.0))
     read = flight_from_log(log_of_room_flight(flight), card_from_mapping(vehicle.card(), vehicle.name))
-    return dict(fit([read], axes=moved).model.axes)
+    return dict(fit([read], axes=moved, structure="first_order_delay").model.axes)
 
 
 def main() -> None:
