@@ -95,7 +95,7 @@ UNHASHED = (
     OURS
     + """
 import rotorfit.files.logs
-rotorfit.files.logs._sha256 = lambda path, stop: ""
+rotorfit.files.logs._sha256 = lambda *_: ""
 """
 )
 
