@@ -54,9 +54,8 @@ HARD = ("doublets", "3211", "prbs")
 """Designs with hard steps, whose harmonics exceed any band."""
 
 HARD_NOTE = (
-    "hard steps: a vehicle whose tilt or speed lags behind its command follows their fast part less, and the "
-    "likelihood, which weighs what is fast most, may take that for a smaller input gain; multisine, chirp and optimal "
-    "have no such part"
+    "hard steps: a vehicle whose tilt or speed lags behind its command follows their fast part less, and a law "
+    "without that lag takes this for a smaller input gain; multisine, chirp and optimal have no such part"
 )
 
 MIXED_NOTE = (
