@@ -2,8 +2,9 @@
 
     python bench/bench_rotorpy.py [SECONDS]
 
-Prints the coefficients of both logs with their 95 % half widths and their difference in standard errors of the
-difference, the distance between the two paths, and that after a small step, for decreasing step sizes of rotorpy.
+Prints the coefficients of both logs by the law with a delay, with half of the flight's 95 % interval, their difference
+in standard errors of the difference, the distance between the two paths, and that after a small step, for decreasing
+step sizes of rotorpy.
 Skipped where rotorpy is not installed (`pip install rotorpy`).
 """
 
@@ -44,11 +45,17 @@ def main() -> None:
 def print_axis(axis: str, ours: "Axis", theirs: "Axis") -> None:
     for what in ("input", "damping", "delay"):
         a, b = getattr(ours.predictor, what), getattr(theirs.predictor, what)
-        sa, sb = ours.stderr[what], theirs.stderr[what]
-        both = f"{a:11.4f} +- {1.96 * sa:.4f}{b:11.4f} +- {1.96 * sb:.4f}"
-        print(f"  {axis + ' ' + what:12}{both}{b - a:+12.4f}  {(b - a) / (sa**2 + sb**2) ** 0.5:+.2f}")
+        wa, wb = half_width(ours, what), half_width(theirs, what)
+        both = f"{a:11.4f} +- {wa:.4f}{b:11.4f} +- {wb:.4f}"
+        print(f"  {axis + ' ' + what:12}{both}{b - a:+12.4f}  {1.96 * (b - a) / (wa**2 + wb**2) ** 0.5:+.2f}")
     a, b = ours.combinations["total_lag"].value, theirs.combinations["total_lag"].value
     print(f"  {axis + ' total lag':12}{a:11.4f}{'':10}{b:11.4f}{'':10}{b - a:+12.4f}")
+
+
+def half_width(axis: "Axis", what: str) -> float:
+    """Half of the 95 % interval of the flight; NaN where it is open."""
+    low, high = axis.ci95_flight.get(what, axis.ci95[what])
+    return float("nan") if low is None or high is None else (high - low) / 2
 
 
 if __name__ == "__main__":

@@ -133,7 +133,9 @@ def fly_both(name: str, duration: float) -> Pair:
     theirs = fly_rotorpy(name, commands, ours.true_instant)
     card = card_from_mapping(vehicle.card(), name)
     logs = (log_of_room_flight(noisy(ours, path, seed)) for seed, path in ((1, ours.true_position), (2, theirs)))
-    first, second = (fit([flight_from_log(log, card)], axes=AXES).model.axes for log in logs)
+    first, second = (
+        fit([flight_from_log(log, card)], axes=AXES, structure="first_order_delay").model.axes for log in logs
+    )
     return Pair(ours, theirs, (first, second))
 
 

@@ -41,7 +41,7 @@ def test_both_simulators_give_the_same_coefficients_within_their_intervals(fligh
     ours, theirs = pair.found
     for axis in flights.AXES:
         for what in ("input", "damping", "delay"):
-            error = np.hypot(ours[axis].stderr[what], theirs[axis].stderr[what])
+            error = np.hypot(*(np.diff(found[axis].ci95_flight[what]) / 3.92 for found in pair.found))
             gap = getattr(theirs[axis].predictor, what) - getattr(ours[axis].predictor, what)
             assert abs(gap) < 3 * error, (axis, what)  # 18 comparisons: 1 in 20 runs would pass 3 by chance
         lags = [found[axis].combinations["total_lag"].value for found in pair.found]
