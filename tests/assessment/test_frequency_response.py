@@ -210,6 +210,26 @@ def test_a_negative_input_turns_the_gain_and_not_the_delay() -> None:
     np.testing.assert_allclose(one.delay, other.delay, atol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("damping", [0.2, 0.4, 2.0])
+def test_a_slow_axis_under_steps_is_not_smoothed(damping: float, seed: int) -> None:
+    """Knots 0.4 rad/s apart: straight lines between them made the delay 0.1 s too long below 0.7 rad/s."""
+    truth = replace(STILL, gamma=(*STILL.gamma[:4], 4.0, damping, *STILL.gamma[6:]))
+    found = frequency_response(flown(truth, steps(("z",), seed=seed), 60.0), "z")
+    true = law_response(FIRST_ORDER_DELAY, point_of(truth, "z"), found.frequency)
+    np.testing.assert_allclose(found.gain, np.abs(true), rtol=0.015)
+    phase = found.phase + np.angle(true / found.response)
+    np.testing.assert_allclose(found.delay, -phase / found.frequency, atol=0.05)
+
+
+def test_a_heading_that_stays_takes_no_freedom_from_the_bands() -> None:
+    """Its noise is no turn: with terms for one, bands of eight frequencies had too little freedom, and were lost."""
+    noisy = replace(STILL, mocap_noise=(0.001, 0.001, 0.001, 0.0005))
+    (window,) = windows_of(flown(noisy, steps(("x", "y")), 60.0), "x")
+    assert not window.turned.any()
+    assert not window.turning.any()
+
+
 @pytest.mark.parametrize("closed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_bands_hold_the_truth_and_the_law_that_was_flown_is_not_refuted(closed: bool) -> None:
     """Four flights here; the slow test has more."""

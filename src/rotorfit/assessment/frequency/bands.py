@@ -4,10 +4,11 @@ In a band, with the command U, the velocity V and s = i w,
 
     V(w) = G(w) U(w) + K D(w) + T(w) + N(w)
 
-G is linear in w between knots once a delay is removed. D is the contribution of the other horizontal axis when the
-vehicle turns, K free. T is the effect of the ends of the window: a sum of powers of s and of slow and fast decays
-1 / (s + a) with real coefficients, separate for each window. N is noise of unknown power and of the shape that the
-whole flight shows. Where an instrument Z is not the command itself, only the motion that follows it counts. Bands
+G is linear in w between knots once a delay and a first-order lag are removed, both found roughly from the same data: no
+straight line follows 1 / (s + b) where knots are as far apart as b. D is the contribution of the other horizontal axis
+when the vehicle turns, K free. T is the effect of the ends of the window: a sum of powers of s and of slow and fast
+decays 1 / (s + a) with real coefficients, separate for each window. N is noise of unknown power and of the shape that
+the whole flight shows. Where an instrument Z is not the command itself, only the motion that follows it counts. Bands
 share no frequency, so they are independent, and N of each has its own degrees of freedom. All equations are between
 real numbers: a complex one is two.
 
@@ -16,7 +17,7 @@ polynomial method, its variance and degrees of freedom); section 7.2.7 for the l
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -43,6 +44,9 @@ LEAST_FREEDOM = 6
 
 DELAYS = np.arange(0.0, 0.91, 0.1)
 """Candidates for the delay that is removed from G [s]."""
+
+LAGS = np.append(0.0, 0.1 * 2 ** np.arange(0.0, 7.1, 0.5))
+"""Candidates for the time constant of the lag that is removed from G [s]."""
 
 TURNED_LATER = np.arange(0.0, 0.41, 0.05)
 """Candidates for the time by which the vehicle turns a command later than its stamp [s]."""
@@ -135,19 +139,19 @@ def bands_of(spectra: Sequence[Spectra], lines: Array | None = None) -> tuple[Ba
     knots = _knots(spectra) if lines is None else lines
     groups = _groups(knots, _bin(spectra))
     shapes = [np.full(part.frequency.size, part.duration**0.5) for part in spectra]
-    delay, late = np.zeros(1), np.zeros(1)
 
     def equations() -> list[_Equations]:
         return [one for group in groups if (one := _equations(spectra, shapes, *group)) is not None]
 
     before = equations()
-    delay = _best(before, DELAYS, late)
+    delay, lag = (each.ravel() for each in np.meshgrid(DELAYS, LAGS))
+    known = _best(before, _Known(delay, lag))
     if any(part.turning.any() for part in spectra):
-        late = _best(before, delay, TURNED_LATER)
-    bands = _bands(before, delay, late)
+        known = _best(before, known._replace(late=TURNED_LATER))
+    bands = _bands(before, known)
     for _ in range(2):
         shapes = _shapes(spectra, bands, shapes)
-        bands = _bands(equations(), delay, late)
+        bands = _bands(equations(), known)
     return bands
 
 
@@ -237,8 +241,27 @@ def _equations(
     )
 
 
+class _Known(NamedTuple):
+    """What is roughly known of an axis, or D candidates for it: each of the three has 1 or D values.
+
+    Attributes:
+        delay: Delay that is removed from G, shape (1,) or (D,) [s].
+        lag: Time constant of the lag that is removed from G, shape (1,) or (D,) [s].
+        late: Time by which the vehicle turns a command later than its stamp, shape (1,) or (D,) [s].
+    """
+
+    delay: Array = np.zeros(1)
+    lag: Array = np.zeros(1)
+    late: Array = np.zeros(1)
+
+    def removed(self, omega: Array) -> Spectrum:
+        """Response of delay and lag at some frequencies (N,), shape (1, N) or (D, N)."""
+        s = 1j * omega
+        return np.asarray(np.exp(-self.delay[:, None] * s) / (1 + self.lag[:, None] * s))
+
+
 class _Trials(NamedTuple):
-    """The matrices of a `Band`, stacked, for D candidate delays or turning times.
+    """The matrices of a `Band`, stacked, for D candidates of what is removed.
 
     Attributes:
         command: Shape (D, N).
@@ -257,21 +280,22 @@ class _Trials(NamedTuple):
     determined: Mask
 
 
-def _trials(one: _Equations, delay: Array, late: Array) -> _Trials | None:
-    """The bands for some delays and times by which the vehicle turns a command later, each (D,) or (1,) [s].
+def _trials(one: _Equations, known: _Known) -> _Trials | None:
+    """The bands for each candidate of what is known.
 
     All at once, because the number of calls takes the time, not their size. None if too few equations are left to
     estimate the noise.
     """
     omega, knots = one.frequency, one.knots
     turning = bool(one.turned.any())
-    turn = (np.exp(-1j * np.outer(delay if turning else delay[:1], omega)) * one.turned)[..., None][..., : int(turning)]
+    removed = known.removed(omega)
+    turn = ((removed if turning else removed[:1]) * one.turned)[..., None][..., : int(turning)]
     columns = [np.broadcast_to(one.ends, (len(turn), *one.ends.shape)), _real(turn), _real(1j * turn)]
     if 2 * omega.size - sum(part.shape[2] for part in columns) - 2 * knots.size < LEAST_FREEDOM:
         return None
     others = np.linalg.qr(np.concatenate(columns, axis=2))[0]
     across = others.transpose(0, 2, 1)
-    hats = _hats(omega, knots) * np.exp(-1j * np.subtract.outer(omega, knots) * delay[:, None, None])
+    hats = _hats(omega, knots) * removed[:, :, None] / known.removed(knots)[:, None]
 
     def free(rows: Array) -> Array:
         return np.asarray(rows - others @ (across @ rows))
@@ -280,7 +304,7 @@ def _trials(one: _Equations, delay: Array, late: Array) -> _Trials | None:
         shares = hats * each[..., None]
         return np.concatenate([_real(shares), _real(1j * shares)], axis=2)
 
-    command = one.command + late[:, None] * one.turning
+    command = one.command + known.late[:, None] * one.turning
     share = at_knots(command)
     outside = share if one.instrument is None else at_knots(one.instrument[None])
     length, D = np.linalg.norm(outside, axis=1), len(share)
@@ -292,12 +316,11 @@ def _trials(one: _Equations, delay: Array, late: Array) -> _Trials | None:
     return _Trials(*(np.broadcast_to(part, (D, *part.shape[1:])) for part in every))
 
 
-def _best(equations: Sequence[_Equations], delay: Array, late: Array) -> Array:
-    """The delay or turning time that fits the bands best, shape (1,) [s]."""
-    tried = delay if delay.size > 1 else late
-    misfit = np.zeros(tried.size)
+def _best(equations: Sequence[_Equations], tried: _Known) -> _Known:
+    """The candidate that fits the bands best."""
+    misfit = np.zeros(max(each.size for each in tried))
     for one in equations:
-        trials = _trials(one, delay, late)
+        trials = _trials(replace(one, knots=one.knots[:1]), tried)
         if trials is None:
             continue
         which = trials.determined
@@ -306,14 +329,15 @@ def _best(equations: Sequence[_Equations], delay: Array, late: Array) -> Array:
         rest = motion - share @ np.linalg.solve(across @ share, across @ motion)
         freedom = motion.shape[1] - trials.others.shape[2] - share.shape[2]
         misfit[which] += np.log(np.maximum(np.sum(rest[..., 0] ** 2, axis=1) / freedom, 1e-300)) * freedom
-    return tried[[int(np.argmin(misfit))]]
+    best = int(np.argmin(misfit))
+    return _Known(*(each[[best]] if each.size > 1 else each for each in tried))
 
 
-def _bands(equations: Sequence[_Equations], delay: Array, late: Array) -> tuple[Band, ...]:
-    """Bands with enough equations, at one delay and one turning time, each (1,) [s]."""
+def _bands(equations: Sequence[_Equations], known: _Known) -> tuple[Band, ...]:
+    """Bands with enough equations, for one value of each thing that is known."""
     out = []
     for one in equations:
-        trials = _trials(one, delay, late)
+        trials = _trials(one, known)
         if trials is not None and trials.determined[0]:
             command, motion, share, instrument, others, _ = (part[0] for part in trials)
             common = one.knots, one.frequency, one.duration, one.scale

@@ -156,7 +156,7 @@ def _window(flight: Flight, axis: str, first: int, last: int) -> Window | None:
         position = heading_from_world(position[:, :2], np.full(time.size, mean))
         turned = np.interp((switch[1:] + switch[:-1]) / 2, time, yaw) - mean
         rate = np.diff(np.interp(switch, time, yaw)) / np.diff(switch)
-        across = command[:, 1 - k] * (1.0 if k else -1.0)
+        across = command[:, 1 - k] * (1.0 if k else -1.0) * turning
         command = heading_from_world(command[:, :2], -turned)
         if reference is not None:
             reference = heading_from_world(reference[:, :2], np.full(begin.size, mean))
