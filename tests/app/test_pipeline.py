@@ -28,7 +28,7 @@ from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import WHOLE, LogSpan, parse_log, parse_span
 from rotorfit.files.models import load, save
-from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.simulation.paper_vehicle import Controller, Truth, simulate_flight, write_bag
 from rotorfit.simulation.vehicle import load_vehicle
 
 
@@ -172,6 +172,18 @@ def test_a_comparison_is_each_models_validation(folder: Path) -> None:
     assert set(raw["baselines"]) == {"hold", "paper", "coast"}
     rmse = [entry["flights"][0]["axes"]["z"]["horizons"]["1"]["velocity_rmse"] for entry in raw["models"]]
     assert rmse[0] < rmse[1]
+
+
+def test_a_comparison_in_a_position_loop_says_what_recorded_commands_reveal(folder: Path, tmp_path: Path) -> None:
+    windy, loop = Truth(wind_sigma=(0.3, 0.3, 0.3, 0.3)), Controller(2.0, 2.5)
+    path = tmp_path / "loop.bag"
+    write_bag(simulate_flight(windy, steps(amplitude=0.1), 60.0, 3, controller=loop), path)
+    models = [str(folder / "ml.json"), str(folder / "paper.json")]
+
+    (note,) = comparison_mapping(compare_logs([*models, str(path)], (1.0, 5.0)))["notes"]
+    assert "the commands of z and yaw seem to answer the motion" in note
+    assert "gain a few per cent too low" in note
+    assert comparison_mapping(compare_logs([*models, str(path)], (1.0,)))["notes"] == []
 
 
 def test_progress_of_a_comparison_grows_over_all_models(folder: Path) -> None:

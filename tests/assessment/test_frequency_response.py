@@ -16,6 +16,7 @@ from other_laws import TRUTH, flown_by
 from rotorfit.app.workflows import load_flight
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
 from rotorfit.assessment.frequency.law_test import law_test, matched
+from rotorfit.assessment.frequency.loop import answers_motion
 from rotorfit.assessment.frequency.response import frequency_response, response_bands, response_of_bands
 from rotorfit.assessment.frequency.spectra import held_integrals, spectra_of, windows_of
 from rotorfit.core.flight_data import Flight
@@ -192,6 +193,13 @@ def test_a_turning_vehicle_is_no_loop(seed: int) -> None:
     flight = flown(alike, turning, 60.0, seed)
     assert np.ptp(flight.yaw) > np.radians(20)
     assert [frequency_response(flight, axis).why_none for axis in ("x", "y")] == ["", ""]
+
+
+def test_windows_in_which_the_heading_turns_are_tested_beside_others_in_which_it_stays() -> None:
+    stays, turns = (flown(STILL, steps(axes), 30.0) for axes in (("x", "y"), AXES))
+    windows = [*windows_of(stays, "x"), *windows_of(turns, "x")]
+    assert [bool(window.turned.any()) for window in windows] == [False, True]
+    assert not answers_motion(windows)
 
 
 def test_an_axis_that_is_not_commanded_has_none() -> None:

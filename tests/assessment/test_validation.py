@@ -12,14 +12,14 @@ from flights import CARD, by_hand, fit_as_flown, flown, recorded, steps
 from rotorfit.assessment.innovations import residuals
 from rotorfit.assessment.validation import dynamics_from_model, to_mapping, validate
 from rotorfit.core.errors import FlightError
-from rotorfit.core.finding import Finding
+from rotorfit.core.finding import Finding, told_together
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model, Predictor, unknown_axis
 from rotorfit.dynamics.protocol import hold_velocity, predict_flight, score_predictions
 from rotorfit.estimation.fitting import fit
 from rotorfit.planning.signals import two_sines
-from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, simulate_flight
+from rotorfit.simulation.paper_vehicle import GAMMA_B, Controller, Truth, simulate_flight
 
 pytestmark = pytest.mark.flights
 
@@ -287,6 +287,25 @@ def test_axes_without_a_predictor_and_flights_too_short_have_no_residuals() -> N
 
     assert set(residuals(model, flight_of())) == {"yaw"}
     assert residuals(model, replace(flight_of(), segments=(Segment(0.0, 0.7),))) == {}
+
+
+# Commands that answer the motion
+
+
+@cache
+def in_a_loop() -> Flight:
+    windy = Truth(wind_sigma=(0.3, 0.3, 0.3, 0.3))
+    return flown(windy, steps(amplitude=0.1), 60.0, seed=3, controller=Controller(2.0, 2.5))
+
+
+def test_beyond_a_second_commands_that_answer_the_motion_are_told_to_reveal_the_wind() -> None:
+    def told(*flights: Flight, horizons: tuple[float, ...] = (1.0, 5.0)) -> list[str]:
+        found = validate(of(), flights, horizons).findings
+        return [one.evidence for one in told_together(found) if one.code == "commands_reveal_wind"]
+
+    assert told(in_a_loop()) == ["the commands of x, y, z and yaw seem to answer the motion, as in a position loop"]
+    assert told(in_a_loop(), horizons=(0.5, 1.0)) == []
+    assert told(flight_of(), flight_of(4)) == []
 
 
 # A flight that was read with another card

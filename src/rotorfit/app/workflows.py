@@ -24,7 +24,7 @@ from rotorfit.assessment.validation import dynamics_from_model, to_mapping, vali
 from rotorfit.core.card import Card
 from rotorfit.core.display import FrameLibrary, columns_of, frame
 from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
-from rotorfit.core.finding import by_gravity
+from rotorfit.core.finding import by_gravity, told_together
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes, with_frozen
@@ -282,7 +282,7 @@ class Comparison:
         paths: Paths of the model files, or names of the models.
         validations: One for each model, in that order.
         paired: `model 2` and later against `model 1`, and each against the baselines `hold` and `paper` of `model 1`.
-        notes: One for each model that could not be paired, with the reason.
+        notes: One for each model that could not be paired, with the reason; one where commands answer the motion.
     """
 
     paths: tuple[str, ...]
@@ -357,6 +357,8 @@ def compare_models(
         for number, same in enumerate(alike, 1)
         if not same
     ]
+    loops = (one for each in validations for one in told_together(each.findings) if one.code == "commands_reveal_wind")
+    notes += dict.fromkeys(f"{one.evidence}: {one.effect}" for one in loops)
     return Comparison(tuple(names), tuple(validations), _paired(validations, alike), tuple(notes))
 
 

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
+from rotorfit.assessment.frequency.loop import findings_of_loops
 from rotorfit.assessment.innovations import residual_tests_of_flight, unclocked, was_fitted
 from rotorfit.assessment.mismatch import findings_of_mismatch
 from rotorfit.assessment.paired import paired_test
@@ -128,6 +129,8 @@ def validate(
         ]
     )
     found += [_delay_not_tested(flight) for flight in flights if unclocked(model, flight)]
+    known = [axis for axis in AXES if model.axes[axis].predictor]
+    found += findings_of_loops(flights, known, max(horizons))
     found = [*(one for each in misread for one in each), *sorted(found, key=lambda finding: finding.severity == "info")]
     return Validation(
         flights=tuple(scores["model"]),
