@@ -8,6 +8,7 @@ import pytest
 from models import VEHICLE, model_of
 from rotorfit.core.card import Prior
 from rotorfit.core.errors import PlanError
+from rotorfit.core.model import weighed
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.planning.belief import (
     DELAY,
@@ -126,6 +127,22 @@ def test_a_richer_law_than_the_planned_one_is_told() -> None:
     notes = belief_from_model(replace(model, axes={**model.axes, **lagged}), "m.json").notes
 
     assert notes == ("x, z: planned for the first-order law with a delay, not for first_order_delay_lag",)
+
+
+def test_errors_of_several_laws_are_those_of_the_intervals() -> None:
+    model = model_of(VEHICLE, CARD)
+    x = model.axes["x"]
+    assert x.predictor
+    one = weighed("first_order_delay", x.predictor, ["input", "damping", "delay"], np.diag([0.05, 0.03, 0.004]) ** 2)
+    ends = {"input": (5.0, 5.4), "damping": (None, 0.3), "delay": (0.114, 0.230)}
+    unsure = replace(x, laws=(one, replace(one, structure="first_order_delay_lag")), ci95=ends)
+    belief = belief_from_model(replace(model, axes={**model.axes, "x": unsure}), "m.json")
+
+    assert errors(belief)["x.input"] == pytest.approx(0.2 / 1.96, rel=1e-4)
+    assert errors(belief)["x.delay"] == pytest.approx(0.058 / 1.96, rel=1e-4)
+    assert errors(belief)["x.damping"] == pytest.approx(0.7 * x.predictor.damping)
+    assert errors(belief)["y.delay"] == errors(belief_from_model(model, "m.json"))["y.delay"]
+    assert "x: the model does not decide between laws" in belief.notes[0]
 
 
 def test_of_what_a_model_knows_no_note_of_its_card_is_left() -> None:

@@ -101,6 +101,13 @@ def test_flights_that_leave_are_counted_with_the_side_beyond_which_the_middle_li
         assert told in " ".join(capsys.readouterr().out.split())
 
 
+def test_a_preview_says_for_which_law_its_errors_hold(capsys: pytest.CaptureFixture[str]) -> None:
+    show(plan_view(plan_flight(CARD, ROOM, "multisine", ("z",), 15.0, BELIEF)))
+    assert "expected errors are those of `fit --structure first_order_delay`" in capsys.readouterr().out.replace(
+        "\n", " "
+    )
+
+
 def test_a_plan_is_judged_by_other_vehicles_than_those_with_which_its_amplitude_was_sought() -> None:
     plan = plan_flight(CARD, ROOM, "multisine", ("x", "y"), 20.0, BELIEF)
     shares = [

@@ -16,7 +16,7 @@ from rotorfit.core.frames import AXES, POSE_UNITS, Array
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.core.limits import Meaning, expectation, meaning_of
-from rotorfit.core.model import COEFFICIENTS, MEND, STRUCTURE, Model, first_order
+from rotorfit.core.model import COEFFICIENTS, MEND, NORMAL, STRUCTURE, Axis, Model, Weighed, first_order
 from rotorfit.simulation.paper_vehicle import Truth
 from rotorfit.simulation.published import PUBLISHED, vehicle_of
 
@@ -165,8 +165,9 @@ def _product(reach: float, meaning: Meaning, damping: float, spread: float) -> t
 def belief_from_model(model: Model, where: str) -> Belief:
     """The belief about a vehicle, its air and its room from a fitted model, completed by the model's card.
 
-    It uses the likelihood's own estimates with their covariance, the levels of the disturbance, and the spread of the
-    trims over the flights. No uncertainty exceeds `UNKNOWN_SHARE`.
+    It uses the likelihood's own estimates with their covariance, as wide as the intervals where these cover several
+    laws, the levels of the disturbance, and the spread of the trims over the flights. No uncertainty exceeds
+    `UNKNOWN_SHARE`.
 
     Args:
         model: From a fit by the likelihood.
@@ -220,8 +221,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
     unsure = [axis for axis in AXES if len(model.axes[axis].laws) > 1]
     if unsure:
         notes.append(
-            f"{', '.join(unsure)}: the model does not decide between laws; errors here are those of the first-order "
-            "law alone, the model's intervals cover all"
+            f"{', '.join(unsure)}: the model does not decide between laws; errors before the flight are those of its "
+            "intervals, which cover all"
         )
     if levels:
         notes.append(f"noise and wind are those of the model's flights: {', '.join(map(air, levels))}")
@@ -268,8 +269,27 @@ def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
         known[: len(law.stderr), : len(law.stderr)] = law.covariance
         bound = np.array([*UNKNOWN_SHARE, np.nan]) * values[at]
         bound[2] = DELAY[1]
+        if len(model.axes[axis].laws) > 1:
+            out[at, at] = _over_laws(model.axes[axis], law, np.abs(bound))
+            continue
         out[at, at] = np.linalg.inv(np.linalg.inv(known) + np.diag(1 / bound**2))
     return out
+
+
+def _over_laws(axis: Axis, law: Weighed, bound: Array) -> Array:
+    """Covariance of an axis whose intervals cover several laws: as wide as these, correlated as in one, shape (3, 3).
+
+    Args:
+        axis: The axis.
+        law: Its first-order law.
+        bound: Largest standard errors, shape (3,).
+    """
+    correlation = np.eye(3)
+    correlation[: len(law.stderr), : len(law.stderr)] = law.correlation
+    ends = [axis.ci95[name] for name in COEFFICIENTS]
+    half = np.array([np.inf if low is None or high is None else (high - low) / 2 for low, high in ends])
+    error = np.minimum(half / NORMAL, bound)
+    return np.asarray(correlation * np.outer(error, error))
 
 
 def _wind(levels: Sequence[float], damping: float) -> tuple[float, float]:

@@ -33,6 +33,13 @@ UNITS = ("", " [1/s]", " [s]")
 EXPECTED_HEADS = tuple(f"{name}{unit}" for name, unit in zip(COEFFICIENTS, UNITS, strict=True))
 
 
+UNDER_ONE_LAW = (
+    "expected errors are those of `fit --structure first_order_delay`; the default fit weighs laws with a lag, too: "
+    "its intervals have been up to 6 times as wide for delays, twice for inputs"
+)
+"""Note below the expected errors of every plan."""
+
+
 def expected_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
     """Axis, and its believed coefficients with half the 95 % interval after the flight."""
     for axis, errors in plan.predicted["stderr"].items():
@@ -167,7 +174,7 @@ def _table(panel: Axes, plan: Plan) -> None:
         cell.set_linewidth(0.5)
         if place[0] == 0 or place[1] == 0:
             cell.set_text_props(weight="bold")
-    notes = [f"believed: {plan.belief.get('source', '')}", *plan.predicted.get("notes", ())]
+    notes = [f"believed: {plan.belief.get('source', '')}", *plan.predicted.get("notes", ()), UNDER_ONE_LAW]
     text = "\n".join(line for note in notes for line in textwrap.wrap(note, 62))
     panel.text(0.0, 0.93 - height, text, va="top", fontsize=6.5, color="#555555", transform=panel.transAxes)
 

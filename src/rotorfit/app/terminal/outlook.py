@@ -16,7 +16,7 @@ from rotorfit.core.flight_plan import AxisExcitation, Chirp, Plan, Signal, Sines
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Interval
 from rotorfit.planning.next_flight import NextFlight
-from rotorfit.planning.preview import EXPECTED_HEADS, UNITS, expected_rows
+from rotorfit.planning.preview import EXPECTED_HEADS, UNDER_ONE_LAW, UNITS, expected_rows
 from rotorfit.planning.run_on import run_on
 
 
@@ -33,7 +33,7 @@ def plan_view(plan: Plan) -> View:
     yield _motion(plan)
     yield ""
     yield _errors(plan)
-    yield from bullets([*plan.predicted.get("notes", ()), *plan.belief.get("notes", ())])
+    yield from bullets([UNDER_ONE_LAW, *plan.predicted.get("notes", ()), *plan.belief.get("notes", ())])
     yield from bullets(_run_on(plan))
     yield Text(
         f"+-: half of the 95 % interval that is expected, over {plan.predicted['vehicles']} vehicles that are believed "
