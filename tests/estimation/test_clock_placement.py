@@ -111,3 +111,17 @@ def test_flights_of_one_clock_stay_as_they_are() -> None:
 
 def test_a_flight_alone_is_not_moved() -> None:
     assert placed_alike([read(0)], lambda _some: pytest.fail("nothing is to be estimated")) == [read(0)]
+
+
+@pytest.mark.parametrize("late", [-0.19, 0.25])
+def test_a_flight_is_placed_by_a_model_of_one_clock_whose_delay_is_far_from_the_assumed_one(late: float) -> None:
+    moved = placed(alone().model, with_later_commands(read(1), late, "no other flight"))
+    one, other = offset_errors((read(0), moved))
+    assert one == pytest.approx(other, abs=2e-3)
+
+
+def test_flights_that_share_no_axis_stay_where_they_are() -> None:
+    x, z = (replace(read(day), axes=(axis,), command=read(day).command * mask) for day, axis, mask in (
+        (0, "x", np.array([1.0, 0.0, 0.0, 0.0])), (1, "z", np.array([0.0, 0.0, 1.0, 0.0]))))  # fmt: skip
+    result = fit([x, z], axes=("x", "z"), structure="first_order_delay")
+    assert [flight.clocks for flight in result.flights] == [x.clocks, z.clocks]

@@ -9,6 +9,7 @@ from flights import fit_as_flown
 from logs import Csv
 from rotorfit.app.workflows import load_flight
 from rotorfit.core.plain import plain_toml
+from rotorfit.estimation.clock_uncertainty import clock_half_width
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import parse_log
 from rotorfit.files.logs import read
@@ -67,3 +68,20 @@ def test_what_the_card_states_of_its_stamps_is_in_the_delay(tmp_path: Path) -> N
     assert told.ci95["delay"][0] < true < told.ci95["delay"][1]  # type: ignore[operator]
     assert told.delay == pytest.approx(blind.delay)
     assert told.ci95["input"] == blind.ci95["input"]
+
+
+def test_what_all_stamps_of_a_link_may_be_off_by_alike_does_not_shrink_with_the_flights(tmp_path: Path) -> None:
+    flights = []
+    for seed, error in ((1, 0.03), (2, 0.028)):
+        (folder := tmp_path / str(seed)).mkdir()
+        log, _, card = Csv(simulate_flight(TRUTH, two_sines, 30.0, seed)).write(folder)
+        raw = plain_toml(Path(card).read_text())
+        raw["pose"]["time"] = {"from": raw["pose"]["time"], "unit": "s", "error": error}
+        raw["command"]["time"] = {"from": raw["command"]["time"], "unit": "s"}
+        flights.append(flight_from_log(read(Path(log)), card_from_mapping(raw, "a radio link")))
+
+    assert [flight.stamp_error for flight in flights] == [0.03, 0.028]
+    assert clock_half_width(flights[:1], "z") == pytest.approx(0.03)
+    assert clock_half_width(flights, "z") == pytest.approx(0.03)
+    low, high = fit_as_flown(flights, ("z",)).model.axes["z"].ci95["delay"]  # though the cards state other errors
+    assert high - low > 0.06  # type: ignore[operator]

@@ -98,7 +98,7 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
         if progress:
             progress(number / len(methods), method)
         fits[method] = fit(flights, method, axes, structure=STRUCTURE)  # rungs differ in method, not in law
-        found = [horizon_scores(fits[method].model, flight, HORIZON) for flight in flights]
+        found = [horizon_scores(fits[method].model, flight, HORIZON) for flight in fits[method].flights]
         scores[method], held = [own for own, _ in found], [hold for _, hold in found]
     best = fits[BEST].model
     wanted = [axis for axis in AXES if axis in axes]

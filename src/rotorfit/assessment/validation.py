@@ -144,12 +144,18 @@ def validate(
     )
 
 
+def _moved_by(flight: Flight) -> str:
+    """By how much the commands of a flight were moved for that, as a clause."""
+    told = [note.text.split(", ")[0] for note in flight.notes if note.code == "clocks_placed"]
+    return f" ({told[-1]})" if told else ""
+
+
 def _delay_not_tested(flight: Flight) -> Finding:
     return Finding(
         "delay_not_tested",
         "info",
         f"{flight.path}: only the answers to commands relate the clocks of this flight, or of those that were fitted, "
-        "so the commands stand where they are answered as the model says",
+        f"so the commands stand where they are answered as the model says{_moved_by(flight)}",
         "whether the delay is that of the model, this flight cannot tell",
         "record the vehicle's own velocity or heading beside the commands and name it in the card, or write "
         'clock = "one" there if the clocks are one',

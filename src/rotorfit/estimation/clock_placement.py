@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array
-from rotorfit.core.laws import FIRST_ORDER_DELAY
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
@@ -24,6 +24,16 @@ from rotorfit.flights.clocks.placement import with_later_commands
 
 MOST_ROUNDS = 8
 """Largest number of moves of a flight."""
+
+COARSE = np.array(sorted(np.linspace(-0.6, 0.6, 25), key=abs))
+"""Moves among which the likeliest is where the fine ones begin [s], the smallest first: the delay of a model may lie
+anywhere in the range of the search."""
+
+FARTHEST = 0.5
+"""Move of one of several flights beyond which none is moved [s]: no flight is read as far off."""
+
+LEAST_SHARE = 1e-6
+"""Share of the information on a move that must remain when the common coefficients follow."""
 
 PLACED = 1e-4
 """Move that is not worth another [s]: moves converge by squares."""
@@ -46,6 +56,8 @@ def placed_alike(
         if np.abs(late).max() < PLACED:
             break
         by += late
+        if np.abs(by).max() > FARTHEST:
+            return list(flights)
         moved = [with_later_commands(one, d, "those of the other flights") for one, d in zip(flights, by, strict=True)]
     return moved
 
@@ -58,16 +70,26 @@ def placed_by(flight: Flight, expected: Callable[[Flight], Iterable[tuple[Record
         expected: Its axes, or x with y, as moved, and their parameters as expected; trims, start velocities and levels
             are the flight's own.
     """
-    by, moved = 0.0, flight
+    known = list(expected(flight))
+    by = max(map(float, COARSE), key=lambda late: sum(_likelihood(rec, point, late) for rec, point in known))
+    moved = with_later_commands(flight, by, "the model says") if by else flight
     for _ in range(MOST_ROUNDS):
         told = [_told(rec, point) for rec, point in expected(moved)]
-        known = sum(one.information[-1, -1] for one in told)
-        late = float(sum(one.gradient[-1] for one in told) / known) if known else 0.0
+        power = sum(one.information[-1, -1] for one in told)
+        late = float(sum(one.gradient[-1] for one in told) / power) if power else 0.0
         if abs(late) < PLACED:
             break
         by += late
         moved = with_later_commands(flight, by, "the model says")
     return moved
+
+
+def _likelihood(rec: Record, point: Point, late: float) -> float:
+    """Log-likelihood of a flight that answers later than expected [s]; none where the delay leaves its range."""
+    delay = point.delay + late
+    if delay.min() < DELAY_RANGE[0] or delay.max() > DELAY_RANGE[1]:
+        return -np.inf
+    return with_own(rec, replace(point, delay=delay), ()).score.log_likelihood
 
 
 def answer_placed(flights: Sequence[Flight]) -> bool:
@@ -122,23 +144,28 @@ def _told(rec: Record, point: Point) -> _Told:
 def _latenesses(flights: Sequence[Flight], estimates: Iterable[Estimate]) -> Array:
     """By how much each flight answers later than the others, while their common coefficients follow, shape (F,) [s].
 
-    Their mean, which common delays follow, is zero.
+    Their mean, which common delays follow, is zero; so is what no other flight tells.
     """
     F = len(flights)
-    gradient, information = np.zeros(F), np.zeros((F, F))
+    gradient, information, alone = np.zeros(F), np.zeros((F, F)), np.zeros(F)
     for one in estimates:
         axes, point = one.records[0].axes, one.optimum.point
         told = {f: _told(*known) for f, flight in enumerate(flights) if (known := _expected(flight, axes, point))}
         for f, own in told.items():
             gradient[f] += own.gradient[-1]
             information[f, f] += own.information[-1, -1]
+            alone[f] += own.information[-1, -1]
         beside = np.zeros((point.coefficients, F))
         beside[:, list(told)] = np.transpose([own.information[:-1, -1] for own in told.values()])
         common = sum(own.information[:-1, :-1] for own in told.values())
         followed = beside.T @ np.linalg.pinv(common, hermitian=True)
         gradient -= followed @ sum(own.gradient[:-1] for own in told.values())
         information -= followed @ beside
-    return np.linalg.pinv(information, 1e-9, hermitian=True) @ gradient
+    scale = np.sqrt(np.where(alone > 0, alone, 1.0))
+    share, along = np.linalg.eigh(information / np.outer(scale, scale))
+    sure = share > LEAST_SHARE
+    late: Array = along[:, sure] / share[sure] @ (along[:, sure].T @ (gradient / scale)) / scale
+    return np.asarray(np.where(alone > 0, late - late[alone > 0].mean(), 0.0) if np.any(alone > 0) else late)
 
 
 def _expected(flight: Flight, axes: tuple[str, ...], point: Point) -> tuple[Record, Point] | None:

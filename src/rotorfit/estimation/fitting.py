@@ -2,11 +2,12 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from rotorfit.core import parallel
-from rotorfit.core.card import Prior
+from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, FlightError, ModelError
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
@@ -33,7 +34,7 @@ from rotorfit.estimation.likelihood.coefficients import (
 from rotorfit.estimation.likelihood.extra_parameters import separable, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import on_stretches
 from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, both_axes, delay_error
-from rotorfit.estimation.likelihood.law_average import WITH_LOOP, averaged, families
+from rotorfit.estimation.likelihood.law_average import WITH_LOOP, Priors, averaged, families, loop_law, tried_laws
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
 from rotorfit.estimation.likelihood.noise_levels import with_levels
 from rotorfit.estimation.likelihood.outliers import without_outliers
@@ -45,8 +46,6 @@ from rotorfit.estimation.regression.axes_by_method import axes_by_method
 from rotorfit.estimation.regression.paper import paper_regression
 from rotorfit.estimation.zero_command import braking, commanded_parts
 from rotorfit.flights.distinct import check_distinct, check_flights
-
-Priors = Mapping[str, Mapping[str, Prior]]
 
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval required [s]."""
@@ -109,16 +108,19 @@ def fit(
         report(0.9, f"{axis} while it is commanded")
         apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None)
         found, parts[axis] = (
-            (_with_axis(found, apart, axis), some) if _gain_known(apart, axis) else (found, list(flights))
+            (_with_axes(found, apart, [axis]), some) if _gain_known(apart, axis) else (found, list(flights))
         )
     model = _published(flights, method, paper, found, parts)
-    if structure == AVERAGED and (doubted := _contradicted_without_loop(model, set(wanted) - parts.keys())):
-        report(0.95, f"{' and '.join(doubted)} with a velocity loop")
-        plane, loops = [axis for axis in wanted if axis in ("x", "y")], (*WITH_LOOP, *doubted)
-        apart = _found(flights, plane, method, structure, priors, paper, lambda _fraction, _text: None, loops=loops)
-        for axis in doubted:
-            found = _with_axis(found, apart, axis)
-        model = _published(flights, method, paper, found, parts)
+    doubted = _contradicted_without_loop(model, set(found.tried) - parts.keys())
+    for group in groups_of(flights, wanted):
+        if looped := [axis for axis in group if axis in doubted]:
+            report(0.95, f"{' and '.join(looped)} with a velocity loop")
+            tried = {a: (*laws, loop_law(laws, priors)) if a in looped else laws for a, laws in found.tried.items()}
+            apart = _averaged(flights, group, {axis: tried[axis] for axis in group})
+            trial = _published(flights, method, paper, _with_axes(found, apart, looped), parts)
+            if held := [axis for axis in looped if not trial.axes[axis].evidence]:
+                found = _with_axes(found, apart, held)
+                model = trial if held == looped else _published(flights, method, paper, found, parts)
     report(1.0, "done")
     braked = {axis: (test, _duration(parts[axis])) for axis, test in tested.items()}
     return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers, braked)
@@ -141,7 +143,7 @@ def _published(
 
 def _contradicted_without_loop(model: Model, axes: Collection[str]) -> list[str]:
     """Which of these axes have laws without a velocity loop only, and tests contradict them."""
-    return [axis for axis in AXES if axis in axes and axis not in WITH_LOOP and model.axes[axis].evidence]
+    return [axis for axis in axes if axis not in WITH_LOOP and model.axes[axis].evidence]
 
 
 def _duration(flights: Sequence[Flight]) -> float:
@@ -209,27 +211,34 @@ def _only(blocks: Blocks, axes: Sequence[str]) -> Blocks:
     return out
 
 
-def _with_axis(found: "_Found", apart: "_Found", axis: str) -> "_Found":
-    """The results, with one axis replaced by that of another fit."""
-    covariance = _only(found.covariance, [other for other in AXES if other != axis]) | _only(apart.covariance, [axis])
+def _with_axes(found: "_Found", apart: "_Found", axes: Sequence[str]) -> "_Found":
+    """The results, with some axes replaced by those of another fit."""
+    others = [axis for axis in AXES if axis not in axes]
     return replace(
         found,
-        axes={**found.axes, axis: apart.axes[axis]},
-        covariance=covariance,
-        estimates={**found.estimates, axis: apart.estimates[axis]},
-        plain={**{name: one for name, one in found.plain.items() if name != axis}, **apart.plain},
+        axes={**found.axes, **{axis: apart.axes[axis] for axis in axes}},
+        covariance=_only(found.covariance, others) | _only(apart.covariance, axes),
+        estimates={**found.estimates, **{axis: apart.estimates[axis] for axis in axes}},
+        plain={
+            **{axis: one for axis, one in found.plain.items() if axis in others},
+            **{axis: one for axis, one in apart.plain.items() if axis in axes},
+        },
     )
 
 
 @dataclass(frozen=True)
 class _Found:
-    """Results for some axes: `estimates` and `remarks` as in `Fit`; `plain` is the first-order law beside another."""
+    """Results for some axes: `estimates` and `remarks` as in `Fit`; `plain` is the first-order law beside another.
+
+    `tried` are the estimates under each default law that was tried, the first-order law first.
+    """
 
     axes: Mapping[str, Axis]
     covariance: Blocks
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
     plain: Mapping[str, tuple[Axis, Estimate]] = field(default_factory=dict)
+    tried: Mapping[str, Sequence[Estimate]] = field(default_factory=dict)
 
 
 def _found(
@@ -241,14 +250,13 @@ def _found(
     paper: PaperFit,
     report: Progress,
     motion_of: MotionOf = motion_from_flight,
-    loops: Sequence[str] = WITH_LOOP,
 ) -> _Found:
-    """Fits the requested axes, group by group; `loops` are those that may have a velocity loop."""
+    """Fits the requested axes, group by group."""
     groups, parts = groups_of(flights, wanted), list[_Found]()
 
     def found_of(group: Sequence[str]) -> _Found:
         if METHODS[method].likelihood:
-            return _likelihood_group(flights, group, priors, structure, motion_of, loops)
+            return _likelihood_group(flights, group, priors, structure, motion_of)
         if METHODS[method].estimator:
             return _regression_group(flights, group, method)
         return _paper_group(flights, group, paper)
@@ -263,6 +271,7 @@ def _found(
         {axis: estimate for part in parts for axis, estimate in part.estimates.items() if axis in wanted},
         {axis: remark for part in parts for axis, remark in part.remarks.items() if axis in wanted},
         {axis: one for part in parts for axis, one in part.plain.items() if axis in wanted},
+        {axis: laws for part in parts for axis, laws in part.tried.items()},
     )
 
 
@@ -301,7 +310,7 @@ def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) 
     check_flights(flights)
     if not flights:
         raise FlightError("no flight to fit: give at least one log")
-    if any(f.card.raw != flights[0].card.raw for f in flights):
+    if any(_but_errors(f.card) != _but_errors(flights[0].card) for f in flights):
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
     check_clocks(flights)
     check_distinct(flights)
@@ -311,6 +320,17 @@ def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) 
         raise CardError(
             "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
         )
+
+
+def _but_errors(card: Card) -> Mapping[str, Any]:
+    """The raw card without the errors of its stamps, which each recording of a radio link has of its own."""
+    raw = dict(card.raw)
+    for part in ("command", "pose"):
+        time = raw[part].get("time")
+        if isinstance(time, Mapping):
+            kept = {key: value for key, value in time.items() if key != "error"}
+            raw[part] = {**raw[part], "time": kept["from"] if kept.keys() == {"from"} else kept}
+    return raw
 
 
 def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> list[Flight]:
@@ -350,32 +370,21 @@ def _motion_of(flights: Sequence[Flight], paper: PaperFit) -> MotionOf:
 
 
 def _likelihood_group(
-    flights: Sequence[Flight],
-    group: Sequence[str],
-    priors: Priors,
-    structure: str,
-    motion_of: MotionOf,
-    loops: Sequence[str],
+    flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str, motion_of: MotionOf
 ) -> _Found:
     """The axes of one group by the likelihood, under the requested structure."""
     estimates = estimate_group(flights, group, priors, motion_of)
     if structure == AVERAGED and estimates:
-        return _averaged(flights, group, estimates, priors, loops)
+        return _averaged(flights, group, tried_laws(serving_flights(flights, group), estimates, priors))
     axes, covariance = _group_axes(flights, group, estimates)
     if structure == STRUCTURE or not estimates:
         return _Found(axes, covariance, estimates)
     return _other_structures(flights, group, estimates, axes, covariance, structure)
 
 
-def _averaged(
-    flights: Sequence[Flight],
-    group: Sequence[str],
-    estimates: Mapping[str, Estimate],
-    priors: Priors,
-    loops: Sequence[str],
-) -> _Found:
-    """The axes of a group under the default laws, with the first-order law beside them."""
-    known = families(serving_flights(flights, group), estimates, priors, loops)
+def _averaged(flights: Sequence[Flight], group: Sequence[str], tried: Mapping[str, Sequence[Estimate]]) -> _Found:
+    """The axes of a group under the laws that were tried, with the first-order law beside them."""
+    known = families(serving_flights(flights, group), tried)
     chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
         said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]
@@ -391,7 +400,7 @@ def _averaged(
             one = beside[0] if beside else _group_axes(flights, group, {axis: family.plain})[0][axis]
             plain[axis] = one, family.plain
     covariance = covariances(group, [chosen[axis] for axis in group], axes)
-    return _Found(axes, covariance, chosen, plain=plain)
+    return _Found(axes, covariance, chosen, plain=plain, tried=tried)
 
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:

@@ -62,7 +62,7 @@ class MavlinkListener(MavlinkLink):
         self._heading: float | None = None
         self._window = window or Obedience({})
         self._forwarded, self._landed = False, 0
-        self._by_velocity = True  # whether the last setpoint that was forwarded commands velocities alone
+        self._by_velocity = True  # whether the last setpoint, forwarded or echoed, commands velocities alone
         self._inbox += self._window.begun(wall_clock())
 
     def act(self, action: Action) -> None:
@@ -106,16 +106,19 @@ class MavlinkListener(MavlinkLink):
             if self._by_velocity:
                 self._inbox += self._command_heard(message, received, received)
         elif kind == ECHO and not self._forwarded and self._is_target(message):
+            self._by_velocity = _is_velocity(message)
+            self._tell_obedience(received)
             stamp = self._poses.clock.ours(message.time_boot_ms * 1_000_000, received)
-            self._inbox += self._command_heard(message, stamp, received)
+            if self._by_velocity:
+                self._inbox += self._command_heard(message, stamp, received)
 
     def _tell_obedience(self, received: int) -> None:
         """Updates whether the vehicle obeys the received velocities: in the air, in the mode for external commands.
 
         It does not where a position is commanded as well: then velocities are no more than a help to reach it.
         """
-        theirs = self._in_our_mode and self._by_velocity
-        obeys = self._landed in (0, IN_AIR) and (theirs or not self._forwarded)
+        theirs = self._in_our_mode or not self._forwarded
+        obeys = self._landed in (0, IN_AIR) and theirs and self._by_velocity
         self._inbox += self._window.reported(obeys, received)
 
     def _is_target(self, message: Any) -> bool:
