@@ -25,6 +25,7 @@ from models import demo_card, model_of
 from rotorfit.app.cli import main
 from rotorfit.assessment.validation import to_mapping
 from rotorfit.core.errors import ExportError, ModelError
+from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model, Predictor, unknown_axis
 from rotorfit.core.results import AxisScore, FlightScores, Horizon, Validation
@@ -275,6 +276,14 @@ def test_it_is_exported_by_the_point_that_predicts_best_where_that_is_asked_for(
     assert made.axes == AXES
     assert "z is exported by the point that predicts best, as was asked" in made.text
     assert "DAMPING_Z = 2.05  #" in made.text
+
+
+def test_delays_that_hold_the_offset_of_two_clocks_are_not_told_as_the_vehicles(model: Model) -> None:
+    told = Finding("clock_includes_delay", "warning", "two files", "no delay", "one clock")
+    made = export(replace(untold(model, "z"), findings=(told,)), "numpy", predictor=True)
+
+    assert any(note.startswith("The delays are not the vehicle's: two clocks recorded it") for note in made.notes)
+    assert made.notes[-1] in " ".join(made.text.replace("#", " ").split())
 
 
 def test_a_structures_further_parameter_that_is_not_known_leaves_the_axis_out(model: Model) -> None:

@@ -203,14 +203,13 @@ STRUCTURES: Mapping[str, Structure] = {
             "coupled", "v' = g u(t - tau) + h u' - b v - k v' + c, u', v' across", _CROSS, tried=("x", "y")
         ),
         Structure(
-            "second_order", "T v'' + v' + b v = g u(t - tau) + c", (_LAG,), order=2, tried=("z", "yaw")
+            "second_order", "T v'' + v' + b v = g u(t - tau) + c", (_LAG,), order=2
         ),
         Structure(
             "second_order_zero",
             "T v'' + v' + b v = g (u + Z u')(t - tau) + c",
             (_LAG, _ZERO),
             order=2,
-            tried=("z", "yaw"),
         ),
     )
 }  # fmt: skip

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, replace
 
 from rotorfit.core.errors import ExportError
+from rotorfit.core.flight_data import ANSWER
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import Structure, structure_named
 from rotorfit.core.limits import COMMAND_UNITS, CommandMeaning, command_of, meaning_of
@@ -189,6 +190,11 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
             notes.append(f"{one} is left out, too: {missing[one]}.")
     if not any(axis.predictor for axis in axes.values()):
         raise ExportError(f"nothing to export: {by_reason(missing)}; {_remedy(model)}")
+    if any(finding.code == "clock_includes_delay" for finding in model.findings):
+        notes.append(
+            f"The delays are not the vehicle's: two clocks recorded it, and commands were placed about {ANSWER:g} s "
+            "before their answers. Put the vehicle's delay in their place."
+        )
     notes += [
         f"The input of {name} is negative: a positive command moves the vehicle {backwards}. Where the card should "
         f"turn {name} of [command], correct it and fit again."
