@@ -224,6 +224,8 @@ def test_poses_may_be_timed_by_their_arrival() -> None:
     card = card_from_mapping(card_as_recorded(CARD.raw, "log_time"), "as recorded")
     assert card.pose_time.source == "/rotorfit/pose:log_time"
     assert card.command == card_from_mapping(card_as_recorded(CARD.raw), "as recorded").command
+    off = card_from_mapping(card_as_recorded(CARD.raw, "log_time", "header.stamp", 0.03, 0.02), "as recorded")
+    assert (off.pose_time.error, off.command_time.error) == (0.03, 0.02)
     si = {
         **CARD.raw,
         "command": {**CARD.raw["command"], "x": {"from": "a:b", "scale": -1, "unit": "deg", "meaning": "tilt"}},

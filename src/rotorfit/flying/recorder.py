@@ -268,6 +268,7 @@ def card_as_recorded(
     pose_clock: str = "header.stamp",
     command_clock: str = "log_time",
     pose_error: float = 0.0,
+    command_error: float = 0.0,
 ) -> dict[str, Any]:
     """A raw card with the columns of a recording, and the meanings, limits and priors of the given card.
 
@@ -276,6 +277,7 @@ def card_as_recorded(
         pose_clock: `header.stamp`, the sender's clock, or `log_time`, the time of arrival.
         command_clock: Likewise; of the commands that `fly` sends, `log_time` is when they were sent.
         pose_error: Half the 95 % interval of what all stamps of the poses may be off by [s].
+        command_error: Likewise, of the commands.
     """
     parts = {"x": "linear.x", "y": "linear.y", "z": "linear.z", "yaw": "angular.z"}
     kept = {axis: raw["command"][axis] for axis in AXES if axis in raw["command"]}
@@ -287,14 +289,20 @@ def card_as_recorded(
     }
     hold = {"hold": raw["command"]["hold"]} if "hold" in raw["command"] else {}
     command = {axis: {"from": f"{COMMAND}:twist.{parts[axis]}", **told[axis]} for axis in kept}
-    time: Any = f"{POSE}:{pose_clock}"
-    time = {"from": time, "error": pose_error} if pose_error else time
+
+    def time(clock: str, error: float) -> Any:
+        return {"from": clock, "error": error} if error else clock
+
     position = {axis: f"{POSE}:pose.position.{axis}" for axis in ("x", "y", "z")}
     return {
         "name": raw.get("name", "rotorfit fly"),
         "frame": "ENU",
-        "command": {"frame": "heading", "time": f"{COMMAND}:{command_clock}", **hold, **command},
-        "pose": {"time": time, **position, "quaternion": f"{POSE}:pose.orientation"},
+        "command": {"frame": "heading", "time": time(f"{COMMAND}:{command_clock}", command_error), **hold, **command},
+        "pose": {
+            "time": time(f"{POSE}:{pose_clock}", pose_error),
+            **position,
+            "quaternion": f"{POSE}:pose.orientation",
+        },
         "window": {"when": f"{WINDOW}:data"},
         **{key: raw[key] for key in ("limits", "prior") if key in raw},
     }

@@ -104,8 +104,9 @@ class Recording:
 
         self._written = {name: clock.name for name, clock in self._clocks.items()}
         pose, command = self._clocks.values()
-        error = max(self._card.pose_time.error, pose.error) if pose.name == "header.stamp" else 0.0
-        return tomli_w.dumps(card_as_recorded(self._card.raw, pose.name, command.name, error))
+        late = max(self._card.pose_time.error, pose.error) if pose.name == "header.stamp" else 0.0
+        sent = self._card.command_time.error if command.name == "header.stamp" else 0.0
+        return tomli_w.dumps(card_as_recorded(self._card.raw, pose.name, command.name, late, sent))
 
     def _correct(self, recorder: Recorder) -> None:
         """Writes the card again if the commands have another clock than it says."""
