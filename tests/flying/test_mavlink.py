@@ -705,6 +705,19 @@ def test_slow_attitudes_make_one_pose_each_at_their_own_instant(later: int) -> N
         assert heading == pytest.approx(0.2 * k, abs=1e-6)  # as it was told
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_on_a_link_that_loses_much_poses_do_not_go_back_in_time(seed: int) -> None:
+    """Ten of each a second: at times one kind comes slower, at times the other."""
+    rng, poses, stamps = np.random.default_rng(seed), Poses(), list[int]()
+    for ms in range(0, 60_000, 100):
+        for sent in (message("LOCAL_POSITION_NED", ms, x=0, y=0, z=-1, vx=0, vy=0, vz=0), turned(ms + 13, 0.0)):
+            if rng.random() > 0.3:
+                stamps += [sample.stamp for sample in poses.take(sent, (ms + 20) * MS) if sample.stream == "pose"]
+
+    assert len(stamps) > 300
+    assert np.all(np.diff(stamps[20:]) > 0)  # before, the clock of the sender settles
+
+
 def test_attitudes_as_fast_as_positions_make_a_pose_of_each_position() -> None:
     poses, found = Poses(), 0
     for ms in range(0, 3000, 20):

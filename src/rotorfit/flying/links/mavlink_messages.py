@@ -338,9 +338,9 @@ class Poses:
         while self._positions and len(self._attitudes) > 1 and self._attitudes[-1][0] >= self._positions[0][0]:
             stamp, position, velocity = self._positions.popleft()
             later = next(place for place, one in enumerate(self._attitudes) if one[0] >= stamp)
-            if later == 0:  # older than all attitudes: the first position
+            if later == 0 or stamp <= self._last:  # older than all attitudes; or there was a pose for a later attitude
                 continue
-            self._last = max(self._last, stamp)
+            self._last = stamp
             before, after = self._attitudes[later - 1], self._attitudes[later]
             share = (stamp - before[0]) / max(after[0] - before[0], 1)
             quaternion = between(before[1], after[1], share)
