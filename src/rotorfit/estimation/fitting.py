@@ -1,13 +1,13 @@
 """Flights -> Fit: coefficients with intervals, statuses and profiles, by one of the methods in `METHODS`."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from rotorfit.core import parallel
-from rotorfit.core.card import Card
+from rotorfit.core.card import Card, Prior
 from rotorfit.core.errors import CardError, FlightError, ModelError
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
@@ -34,7 +34,7 @@ from rotorfit.estimation.likelihood.coefficients import (
 from rotorfit.estimation.likelihood.extra_parameters import separable, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import on_stretches
 from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, both_axes, delay_error
-from rotorfit.estimation.likelihood.law_average import WITH_LOOP, Priors, averaged, families, loop_law, tried_laws
+from rotorfit.estimation.likelihood.law_average import averaged, families
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
 from rotorfit.estimation.likelihood.noise_levels import with_levels
 from rotorfit.estimation.likelihood.outliers import without_outliers
@@ -46,6 +46,8 @@ from rotorfit.estimation.regression.axes_by_method import axes_by_method
 from rotorfit.estimation.regression.paper import paper_regression
 from rotorfit.estimation.zero_command import braking, commanded_parts
 from rotorfit.flights.distinct import check_distinct, check_flights
+
+Priors = Mapping[str, Mapping[str, Prior]]
 
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval required [s]."""
@@ -108,42 +110,16 @@ def fit(
         report(0.9, f"{axis} while it is commanded")
         apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None)
         found, parts[axis] = (
-            (_with_axes(found, apart, [axis]), some) if _gain_known(apart, axis) else (found, list(flights))
+            (_with_axis(found, apart, axis), some) if _gain_known(apart, axis) else (found, list(flights))
         )
-    model = _published(flights, method, paper, found, parts)
-    doubted = _contradicted_without_loop(model, set(found.tried) - parts.keys())
-    for group in groups_of(flights, wanted):
-        if looped := [axis for axis in group if axis in doubted]:
-            report(0.95, f"{' and '.join(looped)} with a velocity loop")
-            tried = {a: (*laws, loop_law(laws, priors)) if a in looped else laws for a, laws in found.tried.items()}
-            apart = _averaged(flights, group, {axis: tried[axis] for axis in group})
-            trial = _published(flights, method, paper, _with_axes(found, apart, looped), parts)
-            if held := [axis for axis in looped if not trial.axes[axis].evidence]:
-                found = _with_axes(found, apart, held)
-                model = trial if held == looped else _published(flights, method, paper, found, parts)
     report(1.0, "done")
-    braked = {axis: (test, _duration(parts[axis])) for axis, test in tested.items()}
-    return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers, braked)
-
-
-def _published(
-    flights: Sequence[Flight],
-    method: str,
-    paper: PaperFit,
-    found: "_Found",
-    parts: Mapping[str, Sequence[Flight]],
-) -> Model:
-    """The model of the results, judged; `parts` are the flights of axes that were fitted while they are commanded."""
     serving = {
         axis: serving_flights(parts.get(axis, flights), e.records[0].axes) for axis, e in found.estimates.items()
     }
     model = _of_the_vehicle(_model(flights, method, paper, found), found.estimates, flights, serving)
-    return _with_plain(model, found.plain, flights, serving)
-
-
-def _contradicted_without_loop(model: Model, axes: Collection[str]) -> list[str]:
-    """Which of these axes have laws without a velocity loop only, and tests contradict them."""
-    return [axis for axis in axes if axis not in WITH_LOOP and model.axes[axis].evidence]
+    model = _with_plain(model, found.plain, flights, serving)
+    braked = {axis: (test, _duration(parts[axis])) for axis, test in tested.items()}
+    return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers, braked)
 
 
 def _duration(flights: Sequence[Flight]) -> float:
@@ -211,34 +187,30 @@ def _only(blocks: Blocks, axes: Sequence[str]) -> Blocks:
     return out
 
 
-def _with_axes(found: "_Found", apart: "_Found", axes: Sequence[str]) -> "_Found":
-    """The results, with some axes replaced by those of another fit."""
-    others = [axis for axis in AXES if axis not in axes]
+def _with_axis(found: "_Found", apart: "_Found", axis: str) -> "_Found":
+    """The results, with one axis replaced by that of another fit."""
+    covariance = _only(found.covariance, [other for other in AXES if other != axis]) | _only(apart.covariance, [axis])
     return replace(
         found,
-        axes={**found.axes, **{axis: apart.axes[axis] for axis in axes}},
-        covariance=_only(found.covariance, others) | _only(apart.covariance, axes),
-        estimates={**found.estimates, **{axis: apart.estimates[axis] for axis in axes}},
+        axes={**found.axes, axis: apart.axes[axis]},
+        covariance=covariance,
+        estimates={**found.estimates, axis: apart.estimates[axis]},
         plain={
-            **{axis: one for axis, one in found.plain.items() if axis in others},
-            **{axis: one for axis, one in apart.plain.items() if axis in axes},
+            **{name: one for name, one in found.plain.items() if name != axis},
+            **{name: one for name, one in apart.plain.items() if name == axis},
         },
     )
 
 
 @dataclass(frozen=True)
 class _Found:
-    """Results for some axes: `estimates` and `remarks` as in `Fit`; `plain` is the first-order law beside another.
-
-    `tried` are the estimates under each default law that was tried, the first-order law first.
-    """
+    """Results for some axes: `estimates` and `remarks` as in `Fit`; `plain` is the first-order law beside another."""
 
     axes: Mapping[str, Axis]
     covariance: Blocks
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
     plain: Mapping[str, tuple[Axis, Estimate]] = field(default_factory=dict)
-    tried: Mapping[str, Sequence[Estimate]] = field(default_factory=dict)
 
 
 def _found(
@@ -271,7 +243,6 @@ def _found(
         {axis: estimate for part in parts for axis, estimate in part.estimates.items() if axis in wanted},
         {axis: remark for part in parts for axis, remark in part.remarks.items() if axis in wanted},
         {axis: one for part in parts for axis, one in part.plain.items() if axis in wanted},
-        {axis: laws for part in parts for axis, laws in part.tried.items()},
     )
 
 
@@ -375,16 +346,18 @@ def _likelihood_group(
     """The axes of one group by the likelihood, under the requested structure."""
     estimates = estimate_group(flights, group, priors, motion_of)
     if structure == AVERAGED and estimates:
-        return _averaged(flights, group, tried_laws(serving_flights(flights, group), estimates, priors))
+        return _averaged(flights, group, estimates, priors)
     axes, covariance = _group_axes(flights, group, estimates)
     if structure == STRUCTURE or not estimates:
         return _Found(axes, covariance, estimates)
     return _other_structures(flights, group, estimates, axes, covariance, structure)
 
 
-def _averaged(flights: Sequence[Flight], group: Sequence[str], tried: Mapping[str, Sequence[Estimate]]) -> _Found:
-    """The axes of a group under the laws that were tried, with the first-order law beside them."""
-    known = families(serving_flights(flights, group), tried)
+def _averaged(
+    flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate], priors: Priors
+) -> _Found:
+    """The axes of a group under the default laws, with the first-order law beside them."""
+    known = families(serving_flights(flights, group), estimates, priors)
     chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
         said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]
@@ -400,7 +373,7 @@ def _averaged(flights: Sequence[Flight], group: Sequence[str], tried: Mapping[st
             one = beside[0] if beside else _group_axes(flights, group, {axis: family.plain})[0][axis]
             plain[axis] = one, family.plain
     covariance = covariances(group, [chosen[axis] for axis in group], axes)
-    return _Found(axes, covariance, chosen, plain=plain, tried=tried)
+    return _Found(axes, covariance, chosen, plain=plain)
 
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:

@@ -16,34 +16,22 @@ import numpy as np
 
 from rotorfit.core.card import Prior
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.laws import LAG, STRUCTURES, Extra, level_range
-from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Interval, Predictor, Weighed, weighed
+from rotorfit.core.laws import LAG, STRUCTURES, Extra, Structure, level_range
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Predictor, Weighed, weighed
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, maximise_restricted
 from rotorfit.estimation.likelihood.coefficients import covariances, statuses, unfinished
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, extra_status, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached
 from rotorfit.estimation.likelihood.law_selection import effective_samples
 from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
-from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, gaussian_prior, lag_prior
-from rotorfit.estimation.likelihood.richer_laws import (
-    Hopeless,
-    PriorOf,
-    beside,
-    estimate_laws,
-    never,
-    under_law,
-    without_zero,
-)
-
-Priors = Mapping[str, Mapping[str, Prior]]
-"""Priors of the card by axis and coefficient."""
+from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
+from rotorfit.estimation.likelihood.richer_laws import Hopeless, PriorOf, estimate_laws, never, under_law
 
 LAGGED, LED = STRUCTURES["first_order_delay_lag"], STRUCTURES["second_order_zero"]
 """The laws of the family besides the first-order law with a delay."""
 
 WITH_LOOP = ("z", "yaw")
-"""Axes that have a velocity loop on most vehicles. Autopilots in velocity mode fly x and y by one, too: on these, `fit`
-tries the law where tests contradict the others."""
+"""Axes that may have a velocity loop."""
 
 FAST = np.log([100.0, 0.05])
 """Logarithms of damping [1/s] and overlap of a fast disturbance."""
@@ -97,48 +85,14 @@ class Family:
         return replace(self, laws=tuple(replace(law, weight=law.weight / total) for law in laws))
 
 
-def families(serving: Sequence[Flight], tried: Mapping[str, Sequence[Estimate]]) -> dict[str, Family]:
-    """The laws of the axes of one group, weighed; `tried` is what `tried_laws` gives."""
-    return {axis: _family(serving, plain, richer) for axis, (plain, *richer) in tried.items()}
-
-
-def tried_laws(
-    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Priors
-) -> dict[str, tuple[Estimate, ...]]:
-    """As `default_laws`, but climbs of laws that cannot hold are given up."""
-    return default_laws(serving, estimates, priors, _cannot_hold)
-
-
-def loop_law(tried: Sequence[Estimate], priors: Priors) -> Estimate:
-    """The law of a velocity loop on an axis that was tried without it; without a zero where none is told.
-
-    Args:
-        tried: What `tried_laws` gives for the axis: two estimates.
-        priors: As for `default_laws`.
-    """
-    plain, lagged = tried
-    best = max(tried, key=lambda one: one.optimum.score.log_likelihood)
-
-    def hopeless(_axes: Sequence[str], begun: Optimum) -> bool:
-        return _cannot_hold(best, replace(best, optimum=begun))
-
-    if plain.optimum.point.gain.size == 1:
-        led = _led(plain.records[0].axes[0], lagged, plain, _prior_of(priors), hopeless)
-    else:
-        led = beside(lagged, LED, _prior_of(priors), hopeless)
-    return led if _zero_told(led) else without_zero(led, _prior_of(priors), hopeless)
-
-
-def _zero_told(led: Estimate) -> bool:
-    """Whether the interval of a zero excludes none."""
-    at = led.optimum.point.place("zero", led.place)
-    zero, variance = led.optimum.point.extra_values(led.place)["zero"], led.optimum.covariance[at, at]
-    return zero > NO_ZERO and zero**2 > NORMAL**2 * variance
-
-
-def _prior_of(priors: Priors) -> PriorOf:
-    """The priors of the card, and that of the lag."""
-    return lambda axes, structures: lag_prior(structures, gaussian_prior(priors, axes))
+def families(
+    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
+) -> dict[str, Family]:
+    """The default laws of the axes of one group; arguments as for `default_laws`."""
+    return {
+        axis: _family(serving, plain, richer)
+        for axis, (plain, *richer) in default_laws(serving, estimates, priors, _cannot_hold).items()
+    }
 
 
 def _family(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimate]) -> Family:
@@ -163,7 +117,7 @@ def _cannot_hold(plain: Estimate, richer: Estimate) -> bool:
 def default_laws(
     serving: Sequence[Flight],
     estimates: Mapping[str, Estimate],
-    priors: Priors,
+    priors: Mapping[str, Mapping[str, Prior]],
     hopeless: Callable[[Estimate, Estimate], bool] = lambda _plain, _richer: False,
 ) -> dict[str, tuple[Estimate, ...]]:
     """The maximum of every default law that an axis may have, the first-order law with a delay first.
@@ -175,7 +129,11 @@ def default_laws(
         hopeless: Whether the climb of a law, compared with the first-order law, is given up; the law stays where its
             climb stood. A law from which another starts is always climbed, and so is one beside a law that may hold.
     """
-    group, prior_of = tuple(estimates), _prior_of(priors)
+
+    def prior_of(axes: Sequence[str], structures: Sequence[Structure]) -> GaussianPrior | None:
+        return lag_prior(structures, gaussian_prior(priors, axes))
+
+    group = tuple(estimates)
     estimates = _relevelled(estimates)
 
     def given_up(axes: Sequence[str], begun: Optimum) -> bool:
@@ -251,7 +209,7 @@ def _moves_as_lagged(led: Estimate) -> bool:
     """Whether there is no zero and the poles are real: then the law equals a first-order law with a lag."""
     value, k = led.optimum.point.extra_values(led.place), led.place
     overdamped = 4 * value["lag"] * float(np.exp(led.optimum.point.log_damping[k])) <= 1
-    return overdamped and value.get("zero", 0.0) < NO_ZERO
+    return overdamped and value["zero"] < NO_ZERO
 
 
 def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, heading_from_world, world_from_heading
-from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, STRUCTURES, Structure
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Structure
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, free_of, maximise_restricted
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
@@ -133,36 +133,6 @@ def under_law(
         return replace(estimate, optimum=found[0])
     tops = [finished(records, one.point, [True], prior, hopeless) for one in found]
     return replace(estimate, optimum=max(tops, key=posterior))
-
-
-def beside(estimate: Estimate, structure: Structure, prior_of: PriorOf, hopeless: Hopeless) -> Estimate:
-    """Estimate of x or y under a structure by the joint likelihood, in which the other axis keeps its law.
-
-    Args:
-        estimate: Estimate of the axis under another structure, of the joint likelihood.
-        structure: The structure.
-        prior_of: As for `estimate_laws`.
-        hopeless: As for `estimate_laws`.
-    """
-    records, point, k = estimate.records, estimate.optimum.point, estimate.place
-    group, moving = records[0].axes, [bool(free) for free in estimate.optimum.free[: point.gain.size]]
-    prior = prior_of(group, (*point.structures[:k], structure, *point.structures[k + 1 :]))
-    found = [_begun(records, start, moving, prior) for start in _starts(records, point, k, structure, prior)]
-    best = max(found, key=lambda one: one.score.objective)
-    if not hopeless(group, best):
-        best = finished(records, best.point, moving, prior, hopeless)
-    return replace(estimate, optimum=best)
-
-
-def without_zero(led: Estimate, prior_of: PriorOf, hopeless: Hopeless) -> Estimate:
-    """Estimate of an axis under the second order, climbed from that with a zero; arguments as for `beside`."""
-    point, k, simpler = led.optimum.point, led.place, STRUCTURES["second_order"]
-    laws = (*point.structures[:k], simpler, *point.structures[k + 1 :])
-    extra = point.extra[: max(len(law.extras) for law in laws)]
-    moving = [bool(free) for free in led.optimum.free[: point.gain.size]]
-    prior = prior_of(led.records[0].axes, laws)
-    begun = replace(point, structures=laws, extra=extra)
-    return replace(led, optimum=finished(led.records, begun, moving, prior, hopeless))
 
 
 def posterior(top: Optimum) -> float:
