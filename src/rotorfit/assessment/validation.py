@@ -154,8 +154,8 @@ def _delay_not_tested(flight: Flight) -> Finding:
     return Finding(
         "delay_not_tested",
         "info",
-        f"{flight.path}: only the answers to commands relate the clocks of this flight, or of those that were fitted, "
-        f"so the commands stand where they are answered as the model says{_moved_by(flight)}",
+        f"only the answers to commands relate the clocks of {flight.path}, or of the flights that were fitted, so its "
+        f"commands stand where they are answered as the model says{_moved_by(flight)}",
         "whether the delay is that of the model, this flight cannot tell",
         "record the vehicle's own velocity or heading beside the commands and name it in the card, or write "
         'clock = "one" there if the clocks are one',
