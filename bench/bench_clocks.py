@@ -7,10 +7,12 @@ paper's two sines and half under steps, in wind. Offsets of 20 to 500 ms of eith
 with five minutes added; drifts to 100 us/s of either sign. The onboard sensors: see `CASES`. The true offset is that
 in the middle of the commands. Where recorded flights are available, six of them are split into two files, too: they
 have onboard velocity and pose in one file, so the offset estimated after the split, less the injected one, is the
-unknown latency of their velocity and must be the same in all. Results: bench/clocks.json.
+unknown latency of their velocity and must be the same in all. These and six of an autopilot are split once more,
+without onboard motion. Results: bench/clocks.json.
 """
 
 import functools
+import itertools
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -24,13 +26,17 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from flights import steps  # noqa: E402 - it lies beside the tests
+from rotorfit.core.card import Card  # noqa: E402
 from rotorfit.core.errors import FlightError  # noqa: E402
 from rotorfit.core.flight_data import ANSWER, Clocks  # noqa: E402
 from rotorfit.core.log import Log, Table  # noqa: E402
+from rotorfit.diagnosis.card_choice import card_of as card_of_log  # noqa: E402
+from rotorfit.estimation.fitting import fit  # noqa: E402
 from rotorfit.files.cards import card_from_mapping, load_card  # noqa: E402
 from rotorfit.files.logs import read  # noqa: E402
 from rotorfit.files.logs.several import join_logs  # noqa: E402
 from rotorfit.flights.assemble import flight_from_log  # noqa: E402
+from rotorfit.flights.columns import table_of  # noqa: E402
 from rotorfit.planning.signals import two_sines  # noqa: E402
 from rotorfit.simulation.paper_vehicle import STABLE, SimulatedFlight, Truth, simulate_flight  # noqa: E402
 from twin_logs import Sensor, Skew, card_of, in_two_files  # noqa: E402
@@ -158,15 +164,56 @@ def real_case() -> list[dict[str, float]]:
     return out
 
 
+def alike_case() -> dict[str, dict[str, float]]:
+    """Recorded flights, cut in two without onboard motion: how roughly placed, and how well moved to answer alike.
+
+    Offset and delay together, about the mean of the vehicle; and how far two flights stand apart, as read and fitted
+    together [ms].
+    """
+    rng, out = np.random.default_rng(9), {}
+    for folder, pattern in ((REAL, "*.mat"), (REAL.parent / "arducopter-sitl", "s0[1-6].mcap")):
+        flights, skews = [], []
+        for path in sorted(folder.glob(pattern)):
+            skews.append(float(rng.uniform(-2, 2)))
+            log = read(path)
+            card = load_card(str(folder / "card.toml")) if pattern == "*.mat" else card_of_log(log)
+            flights.append(flight_from_log(*_cut(log, card, skews[-1])))
+        if not flights:
+            continue
+        read_as = [flight.clocks.offset - skew for flight, skew in zip(flights, skews, strict=True) if flight.clocks]
+        raw, moved = [], []
+        for i, j in itertools.combinations(range(len(flights)), 2):
+            one, other = fit([flights[i], flights[j]], structure="first_order_delay").flights
+            assert one.clocks
+            assert other.clocks
+            raw.append(read_as[i] - read_as[j])
+            moved.append((one.clocks.offset - skews[i]) - (other.clocks.offset - skews[j]))
+        rms = [1e3 * float(np.sqrt(np.mean(np.square(each)))) for each in (raw, moved)]
+        out[folder.name] = {"sd_ms": 1e3 * float(np.std(read_as, ddof=1)), "apart_ms": rms[0], "moved_ms": rms[1]}
+    return out
+
+
+def _cut(log: Log, card: Card, offset: float) -> tuple[Log, Card]:
+    """A log as two files without onboard motion, and their card; the poses' clock is ahead by the offset [s]."""
+    (sent, clock), (seen, _) = (table_of(log, str(time.source)) for time in (card.command_time, card.pose_time))
+    stamps = sent.columns[clock].ravel()
+    own = stamps - (round(1e9 * offset) if stamps.dtype.kind == "i" else offset)
+    vehicle = replace(log, path=Path("v.log"), tables={"v": Table("v", {**sent.columns, clock: own})})
+    room = replace(log, path=Path("r.log"), tables={"r": Table("r", seen.columns)})
+    raw = {key: value for key, value in card.raw.items() if key not in ("velocity", "attitude", "window")}
+    raw |= {"command": _placed(card.raw["command"], "v"), "pose": _placed(card.raw["pose"], "r")}
+    return join_logs([vehicle, room]), card_from_mapping(raw, "cut")
+
+
 def _placed(section: Mapping[str, Any], table: str) -> dict[str, Any]:
-    """The columns of a section with their table."""
+    """The columns of a section, in another table."""
     plain = ("frame", "hold")
     return {
         key: value
         if key in plain or isinstance(value, int | float)
-        else {**value, "from": f"{table}:{value['from']}"}
+        else {**value, "from": f"{table}:{value['from'].rpartition(':')[2]}"}
         if isinstance(value, dict)
-        else f"{table}:{value}"
+        else f"{table}:{value.rpartition(':')[2]}"
         for key, value in section.items()
     }
 
@@ -175,6 +222,7 @@ def main(count: int) -> None:
     """Runs all cases, prints them, and writes them."""
     cases: dict[str, Callable[[], Any]] = {
         "recorded flights, cut in two": real_case,
+        "answer to the commands only, recorded flights, cut in two": alike_case,
         "wrong source": lambda: wrong_case(count // 4),
         "answer to the commands only": lambda: command_case(count // 2),
         **{name: functools.partial(onboard_case, count, *case) for name, case in CASES.items()},

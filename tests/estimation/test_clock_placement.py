@@ -88,7 +88,7 @@ def test_validation_tells_that_such_a_flight_does_not_test_the_delay() -> None:
     (told,) = (one for one in found if one.code == "delay_not_tested")
     assert told.severity == "info"
     assert "relate the clocks of c1.csv+m1.csv" in told.evidence
-    assert "(the commands were moved by a further " in told.evidence
+    assert ": the commands were moved by a further " in told.evidence
     exact = fit([read(0, "one")]).model
     assert "delay_not_tested" not in {one.code for one in validate(exact, [read(1, "one")]).findings}
 

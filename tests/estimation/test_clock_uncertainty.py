@@ -60,7 +60,7 @@ def test_what_the_card_states_of_its_stamps_is_in_the_delay(tmp_path: Path) -> N
     blind, told = (fit_as_flown([flight]).model.axes["yaw"] for flight in flights)
     true = TRUTH.delay[3]
 
-    assert flights[1].stamp_error == 0.03
+    assert flights[1].shared_error == 0.03
     assert [note.text for note in flights[1].notes if note.code == "stamp_error"] == [
         "stamps of the poses are known to +-30 ms (95 %), by the card: the interval of every delay holds it"
     ]
@@ -80,7 +80,7 @@ def test_what_all_stamps_of_a_link_may_be_off_by_alike_does_not_shrink_with_the_
         raw["command"]["time"] = {"from": raw["command"]["time"], "unit": "s"}
         flights.append(flight_from_log(read(Path(log)), card_from_mapping(raw, "a radio link")))
 
-    assert [flight.stamp_error for flight in flights] == [0.03, 0.028]
+    assert [flight.shared_error for flight in flights] == [0.03, 0.028]
     assert clock_half_width(flights[:1], "z") == pytest.approx(0.03)
     assert clock_half_width(flights, "z") == pytest.approx(0.03)
     low, high = fit_as_flown(flights, ("z",)).model.axes["z"].ci95["delay"]  # though the cards state other errors

@@ -229,7 +229,7 @@ def test_what_a_link_does_not_know_of_its_stamps_goes_to_the_flight_here_and_bes
     beside.take(growing.news())
     flights = growing.flight(), beside.flight(), grown(flown()[:4000])[0]
 
-    assert [flight and flight.stamp_error for flight in flights] == [0.05, 0.05, 0.0]
+    assert [flight and flight.shared_error for flight in flights] == [0.05, 0.05, 0.0]
 
 
 def test_yaw_goes_on_over_the_turn() -> None:

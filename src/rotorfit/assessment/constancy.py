@@ -150,7 +150,7 @@ def constancy(flights: Sequence[Flight], estimate: Estimate, axis: str) -> Const
 
 
 def _lost_together(parts: Sequence[Part], estimate: Estimate) -> tuple[float, int]:
-    """Twice the fall of the log-likelihood where all parts share their coefficients; and how many they share.
+    """Twice the fall of the log-likelihood where all parts share their coefficients; and its degrees of freedom.
 
     Covariances tell how far a part is from the others only near its maximum. Under slow commands delay, damping and
     gain trade along a curve, and a part may be nearly as likely at the other end of it.

@@ -144,18 +144,13 @@ def validate(
     )
 
 
-def _moved_by(flight: Flight) -> str:
-    """By how much the commands of a flight were moved for that, as a clause."""
-    told = [note.text.split(", ")[0] for note in flight.notes if note.code == "clocks_placed"]
-    return f" ({told[-1]})" if told else ""
-
-
 def _delay_not_tested(flight: Flight) -> Finding:
+    moves = [note.text for note in flight.notes if note.code == "clocks_placed"]
+    stand = moves[-1] if moves else "its commands stand where they are answered as the model says"
     return Finding(
         "delay_not_tested",
         "info",
-        f"only the answers to commands relate the clocks of {flight.path}, or of the flights that were fitted, so its "
-        f"commands stand where they are answered as the model says{_moved_by(flight)}",
+        f"only the answers to commands relate the clocks of {flight.path}, or of the flights that were fitted: {stand}",
         "whether the delay is that of the model, this flight cannot tell",
         "record the vehicle's own velocity or heading beside the commands and name it in the card, or write "
         'clock = "one" there if the clocks are one',

@@ -181,6 +181,8 @@ class Flight:
         findings: Findings from the log and the motion before any fit; empty where no check was run.
         stamp_error: Half the 95 % interval of the remaining offset between commands and poses where stamps were
             corrected by their arrival times [s]; 0 where stamps are as sent.
+        shared_error: Half the 95 % interval of an offset that the card or the link states of all stamps, those of other
+            flights included [s].
         command_lateness: How long before its stamp a command may have been sent [s]: the period of rows that hold a
             command and a pose; 0 where commands have stamps of their own.
     """
@@ -202,6 +204,7 @@ class Flight:
     velocity: Velocity | None = None
     findings: tuple[Finding, ...] = ()
     stamp_error: float = 0.0
+    shared_error: float = 0.0
     command_lateness: float = 0.0
 
     def __repr__(self) -> str:

@@ -1,6 +1,6 @@
 """Flights whose clocks only the answer to their commands relates -> the same flights, answering equally late.
 
-Such a flight is placed to 0.11 s when it is read. One flight needs no more: its delay takes what is left. Of several
+Such a flight is placed to 0.3 s when it is read. One flight needs no more: its delay takes what is left. Of several
 flights, or a flight and a model, the delays would differ by that and be taken for a vehicle that changed. So the
 commands of a flight, those of all axes by one time, are moved to where its likelihood is highest under the coefficients
 that it shares with the others.
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
@@ -57,7 +57,10 @@ def placed_alike(
             break
         by += late
         if np.abs(by).max() > FARTHEST:
-            return list(flights)
+            text = (
+                f"no move up to {FARTHEST:g} s makes the flights answer alike: the commands stay where they were placed"
+            )
+            return [replace(one, notes=(*one.notes, Note("clocks_placed", text, 0))) for one in flights]
         moved = [with_later_commands(one, d, "those of the other flights") for one, d in zip(flights, by, strict=True)]
     return moved
 
@@ -151,6 +154,8 @@ def _latenesses(flights: Sequence[Flight], estimates: Iterable[Estimate]) -> Arr
     for one in estimates:
         axes, point = one.records[0].axes, one.optimum.point
         told = {f: _told(*known) for f, flight in enumerate(flights) if (known := _expected(flight, axes, point))}
+        if not told:
+            continue
         for f, own in told.items():
             gradient[f] += own.gradient[-1]
             information[f, f] += own.information[-1, -1]

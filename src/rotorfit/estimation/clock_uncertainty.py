@@ -38,18 +38,16 @@ def clock_half_width(flights: Sequence[Flight], axis: str) -> float:
     """Half the 95 % interval of the delay of an axis that is due to the clocks alone [s].
 
     The delay of a fit is taken as the mean over its flights, weighted by their length; the errors of their clocks are
-    independent, but for what the card says of its stamps, by which all may be off alike.
+    independent, but for what card or link state of all stamps.
     """
     k = AXES.index(axis)
     moving = [f for f in flights if axis in f.axes and np.any(f.command[:, k])]
     if not moving:
         return 0.0
     length = sum(f.duration for f in moving)
-    alike = max(np.hypot(f.card.command_time.error, f.card.pose_time.error) for f in moving)
-    own = [f.stamp_error**2 - f.card.command_time.error**2 - f.card.pose_time.error**2 for f in moving]
-    clocks = [f.clocks.half_width**2 if f.clocks else 0.0 for f in moving]
-    errors = zip(moving, own, clocks, strict=True)
-    return float(np.sqrt(alike**2 + sum((f.duration / length) ** 2 * (max(one, 0.0) + two) for f, one, two in errors)))
+    alike = max(f.shared_error for f in moving)
+    own = [np.hypot(f.stamp_error, f.clocks.half_width if f.clocks else 0.0) for f in moving]
+    return float(np.hypot(alike, np.linalg.norm([f.duration / length * h for f, h in zip(moving, own, strict=True)])))
 
 
 def row_period(flights: Sequence[Flight], axis: str) -> float:

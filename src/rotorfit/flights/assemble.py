@@ -211,7 +211,8 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
         clocks=clocks,
         velocity=velocity,
-        stamp_error=math.hypot(stamp_error, unseen, card.command_time.error, card.pose_time.error),
+        stamp_error=math.hypot(stamp_error, unseen),
+        shared_error=math.hypot(card.command_time.error, card.pose_time.error),
         command_lateness=_row_period(log, card),
     )
 
@@ -220,8 +221,8 @@ def _error_notes(card: Card) -> Iterator[Note]:
     """What the card states about its stamps."""
     for what, time in (("commands", card.command_time), ("poses", card.pose_time)):
         if time.error:
-            text = f"stamps of the {what} are known to +-{1e3 * time.error:.3g} ms (95 %), by the card: the interval of"
-            yield Note("stamp_error", f"{text} every delay holds it", 1)
+            known = f"stamps of the {what} are known to +-{1e3 * time.error:.3g} ms (95 %), by the card"
+            yield Note("stamp_error", f"{known}: the interval of every delay holds it", 1)
 
 
 def _row_period(log: Log, card: Card) -> float:

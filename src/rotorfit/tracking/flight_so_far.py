@@ -112,7 +112,7 @@ class News:
         standing: All intervals in which nothing is learnt [s].
         jumps: All times at which the pose jumped [s].
         counts: Code of `NOTES` to the number of samples or steps.
-        stamp_error: Half the 95 % interval of what the stamps may be off by [s].
+        shared_error: Half the 95 % interval of what the stamps may be off by [s].
     """
 
     commands: Array
@@ -122,7 +122,7 @@ class News:
     standing: Sequence[tuple[float, float]]
     jumps: Sequence[float]
     counts: dict[str, int]
-    stamp_error: float
+    shared_error: float
 
 
 class FlightSoFar:
@@ -139,7 +139,7 @@ class FlightSoFar:
         standing: Intervals in which nothing is learnt [s].
         jumps: Times at which the pose jumped as no vehicle can [s].
         counts: Code of `NOTES` to the number of samples or steps.
-        stamp_error: Half the 95 % interval of what the stamps may be off by [s].
+        shared_error: Half the 95 % interval of what the stamps may be off by [s].
     """
 
     def __init__(self, card: Card, path: str = UNRECORDED) -> None:
@@ -149,13 +149,13 @@ class FlightSoFar:
         self.standing: Sequence[tuple[float, float]] = ()
         self.jumps: Sequence[float] = ()
         self.counts: Counter[str] = Counter()
-        self.stamp_error = math.hypot(card.command_time.error, card.pose_time.error)
+        self.shared_error = math.hypot(card.command_time.error, card.pose_time.error)
         self._sent = [-np.inf, -np.inf]
 
     def pose_error(self, error: float) -> None:
         """Takes half the 95 % interval of what the stamps of the poses may be off by, as the link knows it [s]."""
         time, other = self._card.pose_time, self._card.command_time
-        self.stamp_error = math.hypot(max(time.error, error), other.error)
+        self.shared_error = math.hypot(max(time.error, error), other.error)
 
     def flight(self) -> Flight | None:
         """The flight so far; None until it has a segment: a command that is obeyed, and two poses under it."""
@@ -185,7 +185,7 @@ class FlightSoFar:
             yaw=self.poses.last,
             segments=segments,
             notes=tuple(Note(code, NOTES[code], count) for code, count in self.counts.items()),
-            stamp_error=self.stamp_error,
+            shared_error=self.shared_error,
         )
 
     def news(self) -> News:
@@ -194,7 +194,7 @@ class FlightSoFar:
         new = rows[0].since(self._sent[0]), rows[1].since(np.nextafter(self._sent[1], np.inf))
         oldest, newest = ([float(each.time[k]) if each.time.size else -np.inf for each in rows] for k in (0, -1))
         self._sent = newest
-        return News(*new, oldest, self.now, self.standing, self.jumps, dict(self.counts), self.stamp_error)
+        return News(*new, oldest, self.now, self.standing, self.jumps, dict(self.counts), self.shared_error)
 
     def take(self, news: News) -> None:
         """Adds the news of another `FlightSoFar`, to become equal to it."""
@@ -207,7 +207,7 @@ class FlightSoFar:
         for each, oldest in zip((self.commands, self.poses), news.oldest, strict=True):
             each.forget(np.nextafter(oldest, np.inf))
         self.now, self.standing, self.jumps = news.now, news.standing, news.jumps
-        self.counts, self.stamp_error = Counter(news.counts), news.stamp_error
+        self.counts, self.shared_error = Counter(news.counts), news.shared_error
 
 
 def _believed(time: Array, hold: float) -> float:
