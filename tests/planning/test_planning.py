@@ -206,6 +206,15 @@ def test_the_band_ends_below_one_over_the_delay_and_begins_higher_in_a_smaller_r
     assert band_of(late, ROOM, "x", 0.8)[1] == pytest.approx(2.5)
 
 
+def test_an_axis_that_reaches_its_velocity_at_once_is_commanded_as_far_as_its_velocity_allows() -> None:
+    def commanded(damping: float) -> float:
+        gamma = (*BELIEF.truth.gamma[:6], damping, damping)  # a steady gain of 1
+        return full_amplitude(CARD, replace(BELIEF, truth=replace(BELIEF.truth, gamma=gamma)), "yaw")
+
+    assert commanded(10.0) == pytest.approx(0.4)
+    assert commanded(20.0) == commanded(200.0) == pytest.approx(0.4)
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [

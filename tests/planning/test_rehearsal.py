@@ -250,6 +250,18 @@ def test_in_still_air_the_path_is_the_closed_form() -> None:
     np.testing.assert_allclose(envelope.nominal[:, 2] - 1.6, closed, atol=2e-3)
 
 
+def test_an_axis_faster_than_the_grid_follows_its_command_and_its_path_stays_finite() -> None:
+    signal = AxisExcitation("z", "command", 0.0, 10.0, Sines((0.2,), (2.0,), (0.0,)))
+    plan = replace(plan_of("z", duration=10.0, feedback=None), excitations=(signal,), ramp=0.0)
+    for damping in (60.0, 3000.0):
+        truth = replace(TRUTH, gamma=(*TRUTH.gamma[:4], 1.2 * damping, damping, *TRUTH.gamma[6:]))
+        envelope = predicted_path(plan, fleet(plan, Belief(truth, np.zeros((12, 12)), (0.0,) * 4), draws=1))
+        t = np.maximum(envelope.time - truth.delay[2] - 0.5 / plan.rate, 0.0)
+        np.testing.assert_allclose(envelope.nominal[:, 2] - 1.6, 0.12 * (1 - np.cos(2 * t)), atol=0.02)
+        assert envelope.speed[1] == pytest.approx(0.24, rel=0.02)
+        assert np.all(np.isfinite(envelope.speed_high))
+
+
 def test_the_band_holds_the_draws_and_grows_with_doubt() -> None:
     plan = plan_of("x", feedback=None)
     wide = predicted_path(plan, fleet(plan, draws=40))

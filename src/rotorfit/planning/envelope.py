@@ -146,9 +146,10 @@ def _violated(plan: Plan, flight: SimulatedFlight) -> tuple[Array, Array]:
     space, velocity, position = plan.space, flight.velocity, path(plan, flight)[:, :3]
     flat = np.hypot(velocity[:, 0], velocity[:, 1])
     fastest = np.array([flat.max(), np.abs(velocity[:, 2]).max(), np.abs(velocity[:, 3]).max()])
-    hasty = np.abs(velocity[:, :2]).max(axis=0) > space.speed / np.sqrt(2)
+    calm = np.abs(velocity[:, :2]).max(axis=0) <= space.speed / np.sqrt(2)
+    slow = fastest[:2] <= np.array([space.speed, space.climb])
     inside = (position >= np.array(space.lower)) & (position <= np.array(space.upper))
-    violated = np.concatenate([~inside.all(axis=0), fastest[:2] > np.array([space.speed, space.climb]), hasty])
+    violated = np.concatenate([~inside.all(axis=0), ~slow, ~calm])  # a path that is not finite violates all
     return fastest, violated.astype(float)
 
 

@@ -43,6 +43,9 @@ LARGEST = (3.0, 3.0, 3.0, 4.0)
 """Largest acceleration demanded by a signal [m/s^2, rad/s^2]: a tilt of 17 degrees, where the tangent is still within
 3 % of linear."""
 
+BRIEF = 10.0
+"""Damping above which an axis accelerates so briefly that `LARGEST` limits its change of velocity in 0.1 s [1/s]."""
+
 FAST, FASTEST, SLOWEST = 0.7, 5.0, 2.5
 """The band ends at 0.7 over the delay, within these bounds [rad/s].
 
@@ -350,7 +353,8 @@ def _ident(axes: Sequence[str], length: float) -> tuple[AxisExcitation, ...]:
 def full_amplitude(card: Card, belief: Belief, axis: str) -> float:
     """Largest command of an axis's signal [unit of the card's command]."""
     a = AXES.index(axis)
-    return float(min(SHARE_OF_SCALE * full_scale(card, axis), LARGEST[a] / abs(belief.truth.gamma[2 * a])))
+    gain, damping = np.abs(belief.truth.gamma[2 * a : 2 * a + 2])
+    return float(min(SHARE_OF_SCALE * full_scale(card, axis), LARGEST[a] * max(1.0, damping / BRIEF) / gain))
 
 
 def band_of(belief: Belief, space: Space, axis: str, amplitude: float) -> tuple[float, float]:

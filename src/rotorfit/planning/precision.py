@@ -51,7 +51,7 @@ def fly_plan(tracker: Tracker, truth: Truth, seed: int) -> SimulatedFlight:
     """
     plan = tracker.plan
     truth = replace(truth, command_rate=plan.rate, command_jitter=min(truth.command_jitter, 0.2 / plan.rate))
-    return next(fly_draws(tracker, [draw(truth, plan.duration, seed, max_step=COARSE)]))
+    return next(fly_draws(tracker, [draw(_integrable(truth), plan.duration, seed, max_step=COARSE)]))
 
 
 def draw_path(truth: Truth, rate: float, duration: float, seed: int) -> Draw:
@@ -59,7 +59,18 @@ def draw_path(truth: Truth, rate: float, duration: float, seed: int) -> Draw:
 
     The grid is that of the commands, which moves a path of 60 s by some millimetres.
     """
-    return draw_evenly(replace(truth, command_rate=rate, command_jitter=0.0), duration, seed, max_step=COARSE)
+    truth = replace(_integrable(truth), command_rate=rate, command_jitter=0.0)
+    return draw_evenly(truth, duration, seed, max_step=COARSE)
+
+
+def _integrable(truth: Truth) -> Truth:
+    """The vehicle without time constants below `COARSE`, with which Runge-Kutta steps of that length diverge.
+
+    Such an axis is slowed to `COARSE` at the same steady gain, which moves its path by less than a step does.
+    """
+    table = np.array(truth.gamma).reshape(4, 2)
+    slowed = table / np.maximum(1.0, COARSE * np.abs(table[:, 1:]))
+    return replace(truth, gamma=tuple(map(float, slowed.ravel())))
 
 
 def fly_draws(tracker: Tracker, draws: Sequence[Draw]) -> Iterator[SimulatedFlight]:
