@@ -1,6 +1,7 @@
 """A tracker beside a flight: it knows the vehicle at the end, is never waited for, and changes nothing that is sent."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from models import model_of
 from rotorfit.app.cli import main
 from rotorfit.app.cli.flying import _check_tracking, _show_last
 from rotorfit.app.live.beside import FAR, asked_of, tracked_beside
+from rotorfit.core.log import Sample
 from rotorfit.exports.gains import read_gains
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read
@@ -65,12 +67,30 @@ def test_a_tracker_that_is_gone_is_never_waited_for() -> None:
     beside._process.kill()
     beside._process.wait()
     begun = time.monotonic()
-    for number in range(2 * ROOM // 73):
-        beside.take("pose", number, number, (0.0,) * 7)
+    for number in range(2 * ROOM // RECORD.size):
+        beside.take(Sample("pose", number, number, (0.0,) * 7))
 
     assert time.monotonic() - begun < 5.0
     assert beside.lost > 0
     beside.close()
+
+
+def test_samples_arrive_with_the_errors_of_their_stamps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    echo = """
+import json, sys
+from rotorfit.flying.beside import RECORD
+data = sys.stdin.buffer.read().split(b"\\n", 1)[1]
+heard = [RECORD.unpack_from(data, at) for at in range(0, len(data), RECORD.size)]
+print(json.dumps({"time": 0.0, "words": "", "summary": json.dumps(heard), "alarms": [], "gains": []}))
+"""
+    (tmp_path / "echo_of_samples.py").write_text(echo)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    beside = Beside("echo_of_samples", {}, paced=True)
+    beside.take(Sample("pose", 1, 2, (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0), error=0.03))
+    beside.take(Sample("obeys", 3, 4, (1.0,)))
+    beside.close()
+
+    assert [one[1:4] for one in json.loads(beside.summary)] == [[1, 2, 0.03], [3, 4, 0.0]]
 
 
 def test_the_tracker_ends_without_a_trace_where_nobody_reads_it_any_more() -> None:
@@ -80,7 +100,7 @@ def test_the_tracker_ends_without_a_trace_where_nobody_reads_it_any_more() -> No
     assert far.stdout
     far.stdout.close()
     samples = [
-        RECORD.pack(STREAMS.index(name), n * 20_000_000, n * 20_000_000, *values)
+        RECORD.pack(STREAMS.index(name), n * 20_000_000, n * 20_000_000, 0.0, *values)
         for n in range(1, 400)
         for name, values in (("pose", (0.001 * n, 0, 1, 0, 0, 0, 1)), ("command", (0.1, *[0] * 6)))
     ]

@@ -13,14 +13,14 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any, Literal
 
-from rotorfit.core.log import NUMBERS
+from rotorfit.core.log import NUMBERS, Sample
 
-RECORD = struct.Struct("<Bqq7d")
-"""Stream number, stamp [ns], arrival [ns], and seven values, as many as a pose has."""
+RECORD = struct.Struct("<Bqq8d")
+"""Stream number, stamp [ns], arrival [ns], error of the stamp [s], and seven values, as many as a pose has."""
 
 STREAMS: tuple[Literal["pose", "command", "obeys"], ...] = ("pose", "command", "obeys")
 """Streams that a tracker beside needs."""
@@ -67,20 +67,14 @@ class Beside:
         self._thread = threading.Thread(target=self._run, name="rotorfit-beside", daemon=True)
         self._thread.start()
 
-    def take(self, stream: str, stamp: int, received: int, values: Sequence[float]) -> None:
-        """Hands over a sample.
-
-        Args:
-            stream: `pose`, `command` or `obeys`.
-            stamp: By the sender's clock [ns].
-            received: Time of arrival [ns].
-            values: Of the stream, as in a `Sample`.
-        """
+    def take(self, sample: Sample) -> None:
+        """Hands over a pose, a command, or whether the vehicle obeys."""
         if len(self._rest) > ROOM:
             self.lost += 1
         else:
-            padding = (0.0,) * (NUMBERS["pose"] - len(values))
-            self._rest += RECORD.pack(STREAMS.index(stream), stamp, received, *values, *padding)
+            number = STREAMS.index(sample.stream)
+            padding = (0.0,) * (NUMBERS["pose"] - len(sample.values))
+            self._rest += RECORD.pack(number, sample.stamp, sample.received, sample.error, *sample.values, *padding)
         with suppress(OSError):  # the socket is full, or the other process is gone
             del self._rest[: self._near.send(self._rest)]
 

@@ -144,7 +144,7 @@ class Recorder:
         self.commands += 1
         self._add(COMMAND, stamp, _twist(stamp, command))
         if self._beside:
-            self._beside.take("command", stamp, stamp, command)
+            self._beside.take(Sample("command", stamp, stamp, tuple(command)))
             for text in self._beside.news():
                 self.event(stamp, text)
 
@@ -157,14 +157,14 @@ class Recorder:
             data = _POSE_LAYOUT.pack(_CDR, seconds, rest, 6, b"world", x, y, z, qx, qy, qz, qw)
             self._add(POSE, sample.received, data)
             if self._beside:
-                self._beside.take("pose", sample.stamp, sample.received, sample.values)
+                self._beside.take(sample)
         elif sample.stream == "velocity":
             self._add(VELOCITY, sample.received, _twist(sample.stamp, sample.values))
         elif sample.stream == "command":
             self.commands += 1
             self._add(COMMAND, sample.received, _twist(sample.stamp, sample.values))
             if self._beside:
-                self._beside.take("command", sample.stamp, sample.received, sample.values)
+                self._beside.take(sample)
         elif sample.stream == "obeys":
             self.window(sample.received, bool(sample.values[0]))
         elif sample.stream == "said":
@@ -176,7 +176,7 @@ class Recorder:
         """Records whether the plan is flown from `stamp` [ns] on."""
         self._add(WINDOW, stamp, _FLAG.pack(_CDR, flown))
         if self._beside:
-            self._beside.take("obeys", stamp, stamp, (float(flown),))
+            self._beside.take(Sample("obeys", stamp, stamp, (float(flown),)))
 
     def event(self, stamp: int, text: str) -> None:
         """Records an event at `stamp` [ns]."""

@@ -106,9 +106,9 @@ def main() -> None:
     received = 0
     try:
         while len(data := stream.read(RECORD.size)) == RECORD.size:
-            number, stamp, received, *values = RECORD.unpack(data)
+            number, stamp, received, error, *values = RECORD.unpack(data)
             name = STREAMS[number]
-            tracker.update(Sample(name, stamp, received, tuple(values[: NUMBERS[name]])))
+            tracker.update(Sample(name, stamp, received, tuple(values[: NUMBERS[name]]), error=error))
             for state in tracker.news():
                 tell(state, received)
         last, regimes = tracker.finish()
