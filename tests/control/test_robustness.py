@@ -175,6 +175,13 @@ def test_a_sign_that_the_interval_excludes_is_the_tail_of_a_normal_distribution_
     assert (known > 0).all()
 
 
+def test_no_margin_is_stated_where_hardly_a_drawn_vehicle_agrees_with_the_intervals() -> None:
+    model = known_as(Predictor(3.7, 0.18, 0.15), np.diag([0.2, 0.01, 3.0]) ** 2, {"delay": (0.14, 0.16)})
+
+    with pytest.raises(ModelError, match="agree with its intervals, so no margin can be stated"):
+        believed_possible(model, "x", 200, 0)
+
+
 def test_a_delay_that_is_not_known_counts_as_that_of_commercial_quadrotors_and_is_not_predicted_over() -> None:
     model = without_delays(model_of())
 

@@ -130,6 +130,26 @@ def test_a_law_that_is_asked_for_is_neither_averaged_nor_told_a_prior(models: di
     assert models[LAGGED].axes["z"].lag_prior is not None
 
 
+def test_a_zero_that_vanishes_leaves_the_delay_as_uncertain_as_its_interval_and_their_difference_known() -> None:
+    """There the zero has exactly the effect of a shorter delay: curvature tells nothing of either."""
+    model = fit([flown_by("second_order", duration=30.0, seed=5, wind=0.05, noise=0.001)], axes=("z",)).model
+    axis = model.axes["z"]
+    (low, high), error = axis.ci95["delay"], axis.stderr["delay"]
+
+    assert axis.structure == LOOP
+    assert axis.predictor is not None
+    assert axis.predictor.extra["zero"] < 1e-3
+    assert axis.status["delay"] == "ok"
+    assert missed(axis, TRUTH["second_order"]) == []
+    assert low is not None
+    assert high is not None
+    assert error is not None
+    assert (high - low) / 4 / 3 < error < high - low
+    at = [model.covariance_names.index(f"z.{name}") for name in ("delay", "zero")]
+    assert np.array([1.0, -1.0]) @ model.covariance[np.ix_(at, at)] @ [1.0, -1.0] < (0.5 * error) ** 2
+    assert all(law.stderr["delay"] < high - low for law in axis.laws)
+
+
 def test_in_gusts_the_prior_of_the_lag_keeps_the_input_finite() -> None:
     flight = flown_by(LAGGED, duration=30.0, seed=2, wind=0.6, noise=0.005)
     axis = fit([flight], axes=("z",)).model.axes["z"]

@@ -9,13 +9,14 @@ import pytest
 from click.testing import CliRunner
 
 from flights import flown, steps
-from other_laws import DELAY, flown_by
+from other_laws import DELAY, TRUTH, flown_by
 from rotorfit.app.cli import main
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.assessment.leave_one_out import leave_one_out
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.model import Axis, Model
+from rotorfit.core.physics import physics
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.law_selection import NEAR, HeldOut, change_of
 from rotorfit.files.models import from_mapping, to_mapping
@@ -62,6 +63,37 @@ def test_a_vehicle_of_the_default_structure_keeps_it(seed: int) -> None:
     assert low < DELAY < high < low + 0.03
     assert all(row.verdict.startswith(("rejected", "not ")) for row in axis.candidates[1:])
     assert axis.candidates[0].chosen
+
+
+@pytest.mark.parametrize("name", ["second_order", "first_order_delay_lag"])
+def test_a_law_with_a_lag_holds_a_vehicle_without_one(name: str) -> None:
+    """The search ends at a lag of 5 ms, the delay then 5 ms too short."""
+    flight = flown_by("first_order_delay", duration=50.0, seed=1, wind=0.05, noise=0.0002)
+    axis = fit([flight], axes=("z",), structure=name).model.axes["z"]
+
+    assert axis.plain is not None
+    assert axis.structure == name
+    assert axis.status["lag"] == "not_identifiable"
+    for each, truth in TRUTH["first_order_delay"].items():
+        (low, high), beside = axis.ci95[each], axis.plain.ci95[each]
+        assert axis.status[each] == "ok"
+        assert (low or -np.inf) <= min(truth, beside[0] or -np.inf)
+        assert (high or np.inf) >= max(truth, beside[1] or np.inf)
+
+
+@pytest.mark.parametrize(("name", "axes"), [("quadratic_drag", ("z",)), ("coupled", ("x", "y"))])
+def test_a_law_whose_steady_speed_is_not_in_proportion_to_the_command_alone_has_no_steady_gain(
+    name: str, axes: tuple[str, ...]
+) -> None:
+    flight = flown_by(name, axes, duration=20.0, seed=1, wind=0.05, noise=0.0005)
+    model = fit([flight], axes=axes, structure=name).model
+    axis = model.axes[axes[0]]
+
+    assert axis.structure == name
+    assert not {"steady_gain", "total_lag"} & set(axis.combinations)
+    quantities = physics(model)[axes[0]]
+    assert quantities["steady_speed"].measured is None
+    assert quantities["steady_speed"].reason == f"steady_gain: under {name} it depends on the commands"
 
 
 def test_without_a_delay_the_papers_own_structure_is_enough() -> None:

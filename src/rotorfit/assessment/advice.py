@@ -278,7 +278,7 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
         yield from _delay_findings(name, axis, point.delay, flights)
     if axis.status["damping"] == "not_identifiable":
         (low, high), late = axis.ci95["damping"], None in axis.ci95["delay"]
-        gain, lag = axis.combinations["steady_gain"], axis.combinations.get("total_lag")
+        gain, lag = axis.combinations.get("steady_gain"), axis.combinations.get("total_lag")
         faster = "fly faster changes of the command"
         yield Finding(
             "damping_not_identifiable",
@@ -286,7 +286,7 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
             f"the 95 % interval of the damping of {name} is {_end(low)} to {_end(high)} 1/s"
             + (", which does not hold where that of the delay is open" if late and None not in (low, high) else ""),
             f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
-            if lag and None not in (*gain.ci95, *lag.ci95)
+            if gain and lag and None not in (*gain.ci95, *lag.ci95)
             else f"the input gain of {name} is known, its damping is not",
             faster if late or high is None or high > 3.0 else "fly longer, at constant command",
             name,
@@ -301,13 +301,15 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
             name,
         )
     elif axis.status["input"] == "not_identifiable":
-        gain = axis.combinations["steady_gain"]
+        gain = axis.combinations.get("steady_gain")
         yield Finding(
             "input_not_identifiable",
             "info",
             f"{name} responds faster than the data resolve: gain and damping grow together without bound",
-            f"the steady gain of {name}, {gain.value:.3g}, is known; its parts are not",
-            "use the steady gain with the total lag, or record poses and commands at a higher rate",
+            f"the steady gain of {name}, {gain.value:.3g}, is known; its parts are not"
+            if gain
+            else f"neither the input gain of {name} nor its damping is known",
+            f"{'use the steady gain with the total lag, or ' * bool(gain)}record poses and commands at a higher rate",
             name,
         )
 

@@ -13,6 +13,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.laws import LAG, ZERO, structure_named
 from rotorfit.core.model import (
     NORMAL,
+    PLANNED,
     STRUCTURE,
     Interval,
     Model,
@@ -33,6 +34,9 @@ NEAR = 0.5
 
 SLOWEST = 0.1
 """Least share of the damping at which a drawn vehicle keeps the total lag: with less, no delay makes up for it."""
+
+LEAST = 0.1
+"""Least share of the drawn vehicles that must agree with the intervals."""
 
 GRID = 300
 """Number of frequencies at which the loops of the draws are evaluated."""
@@ -128,7 +132,7 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
         seed: Seed of the draws.
 
     Raises:
-        ModelError: The axis was not excited, or the model does not say how well it is known.
+        ModelError: The axis was not excited, or the model does not say how well it is known, or contradicts itself.
     """
     rng = np.random.default_rng(seed)
     laws = _own_laws(model, axis)
@@ -143,7 +147,13 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
         ci95.pop("delay", None)
     reach = _reach(laws, ci95)
     drawn = [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
-    return [one for one in drawn if not _is_far_out(one, ci95)] or drawn
+    possible = [one for one in drawn if not _is_far_out(one, ci95)]
+    if len(possible) < LEAST * len(drawn):
+        raise ModelError(
+            f"of {len(drawn)} vehicles drawn for {axis} from the model's covariance {len(possible)} agree with its "
+            f"intervals, so no margin can be stated: fit a flight that tells more of it{PLANNED}"
+        )
+    return possible
 
 
 def _is_far_out(vehicle: LoopVehicle, ci95: Mapping[str, Interval]) -> bool:

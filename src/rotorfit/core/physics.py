@@ -15,7 +15,7 @@ from rotorfit.core.limits import (
     limit_that_gives,
     meaning_of,
 )
-from rotorfit.core.model import Axis, Model
+from rotorfit.core.model import STRUCTURE, Axis, Model
 
 QUANTITIES = ("acceleration", "steady_speed", "time_constant", "total_lag")
 """The quantities of every axis, in this order."""
@@ -91,7 +91,13 @@ def _input(axis: Axis) -> Figure | None:
 def _steady(axis: Axis) -> Figure | None:
     """The steady gain; the bare ratio for the paper's method, which gives no interval for it."""
     known = _combination(axis, "steady_gain")
-    if known is None and axis.input is not None and axis.damping is not None and axis.damping > 0:
+    if (
+        known is None
+        and axis.structure == STRUCTURE
+        and axis.input is not None
+        and axis.damping is not None
+        and axis.damping > 0
+    ):
         return Figure(axis.input / axis.damping)
     return known
 
@@ -121,6 +127,8 @@ def _why_not(axis: Axis, name: str) -> str | None:
     if not axis.predictor:
         return _why(axis, "input")
     part = axis.combinations.get(name)
+    if part is None and axis.structure != STRUCTURE:
+        return f"{name}: under {axis.structure} it depends on the commands"
     if part is None:
         return f"{name}: this method gives no interval of it"
     return f"{name}: its interval is open" if None in part.ci95 else None

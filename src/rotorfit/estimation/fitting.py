@@ -34,7 +34,7 @@ from rotorfit.estimation.likelihood.coefficients import (
 from rotorfit.estimation.likelihood.extra_parameters import separable, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import on_stretches
 from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, both_axes, delay_error
-from rotorfit.estimation.likelihood.law_average import averaged, families
+from rotorfit.estimation.likelihood.law_average import averaged, families, united
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
 from rotorfit.estimation.likelihood.noise_levels import with_levels
 from rotorfit.estimation.likelihood.outliers import without_outliers
@@ -414,6 +414,8 @@ def _other_structures(
     else:
         found, axes = estimates, plain
     for axis in known:
+        if _may_have_no_lag(axes[axis]):
+            axes[axis] = united(axes[axis], [plain[axis]])
         if axis in lost:
             axes[axis] = replace(axes[axis], candidates=(unidentifiable_candidate(structure),))
         if axis in choices:
@@ -423,6 +425,14 @@ def _other_structures(
                 axes[axis], candidates=choice.candidates, samples=choice.samples, combinations=combined
             )
     return _Found(axes, covariance, found, plain={axis: (plain[axis], estimates[axis]) for axis in known})
+
+
+def _may_have_no_lag(axis: Axis) -> bool:
+    """Whether the lag of an axis has no lower end: then its law may be the first-order one, which the search excludes.
+
+    The search ends at a small lag, which leaves the delay too short by as much, and too sure.
+    """
+    return structure_named(axis.structure).delayed and "lag" in axis.ci95 and axis.ci95["lag"][0] is None
 
 
 def estimate_group(

@@ -15,6 +15,7 @@ from rotorfit.core.limits import CommandMeaning
 from rotorfit.core.model import COEFFICIENTS, Model, Predictor
 from rotorfit.core.plain import listed
 from rotorfit.dynamics.trajectory import state_space
+from rotorfit.dynamics.transfer_function import has_transfer_function
 from rotorfit.exports.equations import SPEEDS, Equation, constants, equations, number
 from rotorfit.exports.formats import NUMPY, Format, Language
 from rotorfit.exports.subject import Subject
@@ -180,8 +181,7 @@ def _commands(subject: Subject) -> list[tuple[str, CommandMeaning]]:
 def steady_gain(subject: Subject, axis: str) -> float | None:
     """Steady speed per command [m/s or rad/s]; None if the axis is left out, or its law has no constant steady gain."""
     point = subject.point(axis)
-    held = {"quadratic_drag", "climb_descent", "saturation", "dead_zone", "coupled"}
-    if axis not in subject.axes or subject.structure(axis).name in held or point.damping <= 0:
+    if axis not in subject.axes or not has_transfer_function(subject.structure(axis)) or point.damping <= 0:
         return None
     return point.input / point.damping
 

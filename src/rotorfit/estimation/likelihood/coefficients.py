@@ -13,7 +13,9 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.combinations import combinations
 from rotorfit.estimation.likelihood.extra_parameters import (
+    covariance_of,
     estimated_extras,
+    extra_intervals,
     further,
     structure_at,
 )
@@ -53,7 +55,6 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     if not estimate.excited or unfinished(optimum, k):
         return nothing
     structure, extras = structure_at(optimum, k), estimated_extras(optimum, k)
-    variance = np.diag(optimum.covariance)
     index = {name: optimum.point.place(name, k) for name in (*COEFFICIENTS, *(extra.name for extra in extras))}
     profiles: dict[str, Profile] = {}
     for name, i in index.items():
@@ -62,7 +63,9 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         if holds_zero(profiles["input"].ci95):  # not excited, whatever the other profiles
             return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     ends: dict[str, Interval] = {"delay": (0.0, 0.0)} | {name: found.ci95 for name, found in profiles.items()}
-    more = further(optimum, k, ends)
+    extra_ends = extra_intervals(optimum, k, ends)
+    covariance = covariance_of(optimum, {k: extra_ends})
+    variance, more = np.diag(covariance), further(optimum, k, extra_ends, covariance)
     raw = dict(ends)
     ends["damping"] = _exponential(ends["damping"])
     ends["input"] = _uncut(ends["input"], ends["damping"], float(optimum.point.gain[k]))
@@ -191,7 +194,9 @@ def covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Ma
         optimum, places = estimates[numbers[0]].optimum, [estimates[n].place for n in numbers]
         at = [optimum.point.place(name, k) for n, k in zip(numbers, places, strict=True) for name in names[n]]
         scale = np.concatenate([_natural(optimum, k) for k in places])
-        C = optimum.covariance[np.ix_(at, at)]
+        C = covariance_of(optimum, {k: results[group[n]].ci95 for n, k in zip(numbers, places, strict=True)})[
+            np.ix_(at, at)
+        ]
         out[tuple(f"{group[n]}.{name}" for n in numbers for name in names[n])] = C * np.outer(scale, scale)
     return out
 

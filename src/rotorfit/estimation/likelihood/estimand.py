@@ -8,6 +8,7 @@ import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.core.model import Interval
+from rotorfit.dynamics.transfer_function import has_transfer_function
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.parameters import Point
@@ -42,6 +43,9 @@ class Estimand:
 def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
     """Every quantity of axis k that is published with an interval and compared between flights, by name.
 
+    Steady gain and total lag are those of a linear axis that moves by its own command alone: under another law they
+    depend on the size of the command, or on the other axis.
+
     Source: of the second order, T v'' + v' + b v, also with a zero: natural frequency sqrt(b / T), damping ratio
     1 / (2 sqrt(b T)); for the total lag see `core.laws`.
     """
@@ -55,9 +59,12 @@ def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
         Estimand("input", g, True, along(input=1 / g)),
         Estimand("damping", b, True, along(damping=1.0)),
         Estimand("delay", tau, False, along(delay=1.0)),
-        Estimand("steady_gain", g / b, True, along(input=1 / g, damping=-1.0)),
-        Estimand("total_lag", tau + lag + 1 / b - zero, False, along(delay=1.0, damping=-1 / b, **late)),
     ]
+    if has_transfer_function(structure):
+        out += [
+            Estimand("steady_gain", g / b, True, along(input=1 / g, damping=-1.0)),
+            Estimand("total_lag", tau + lag + 1 / b - zero, False, along(delay=1.0, damping=-1 / b, **late)),
+        ]
     out += [
         Estimand(e.name, extra[e.name], e.logarithmic, along(**{e.name: 1.0})) for e in estimated_extras(optimum, k)
     ]

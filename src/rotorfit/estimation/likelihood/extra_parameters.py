@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorfit.core.frames import Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY, Extra, Structure
-from rotorfit.core.model import Interval
+from rotorfit.core.model import NORMAL, Interval
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.likelihood import inverted
 
@@ -44,6 +45,41 @@ def separable(optimum: Optimum, k: int) -> bool:
     return all(NO_INFORMATION < information[i, i] * variance[i] < 1 / LEAST_OWN for i in places)
 
 
+VAGUE = 2.0
+"""How many times the error of its interval the curvature may give a further parameter before the interval counts."""
+
+
+def covariance_of(optimum: Optimum, ends: Mapping[int, Mapping[str, Interval]]) -> Array:
+    """Covariance of the parameters, in which no further parameter is much less certain than its interval says.
+
+    A vanishing zero has the effect of a shorter delay: to first order the data tell only their difference, and the
+    inverse of the information is arbitrarily large. The interval, which ends where the second order shows, then bounds
+    the zero; what is known of the difference stays.
+
+    Args:
+        optimum: The maximum.
+        ends: Intervals of the further parameters, by name, of axes by index; an open end is that of the search.
+    """
+    variance, known = np.diag(optimum.covariance), np.zeros(len(optimum.free))
+    for k, intervals in ends.items():
+        for extra in estimated_extras(optimum, k):
+            i, (low, high) = optimum.point.place(extra.name, k), intervals[extra.name]
+            reach = [
+                extra.coordinate(edge if end is None else end) for end, edge in ((low, extra.low), (high, extra.high))
+            ]
+            error = (reach[1] - reach[0]) / (2 * NORMAL)
+            if variance[i] > (VAGUE * error) ** 2 > 0:
+                known[i] = 1 / error**2
+    if not known.any():
+        return optimum.covariance
+    return inverted(optimum.score.information + np.diag(known), optimum.free)
+
+
+def extra_intervals(optimum: Optimum, k: int, ends: Mapping[str, Interval]) -> dict[str, Interval]:
+    """Intervals of the further parameters of axis k from those in the coordinates of the estimator, by name."""
+    return {extra.name: _interval(extra, ends[extra.name]) for extra in estimated_extras(optimum, k)}
+
+
 @dataclass(frozen=True)
 class Further:
     """Published values, standard errors, intervals and statuses of the further parameters of an axis, by name."""
@@ -54,17 +90,17 @@ class Further:
     status: Mapping[str, str]
 
 
-def further(optimum: Optimum, k: int, ends: Mapping[str, Interval]) -> Further:
+def further(optimum: Optimum, k: int, ci95: Mapping[str, Interval], covariance: Array) -> Further:
     """Published values of the further parameters of axis k.
 
     Args:
         optimum: Maximum under a structure with further parameters.
         k: Index of the axis.
-        ends: Their intervals in the coordinates of the estimator, by name; open ends are None.
+        ci95: From `extra_intervals`.
+        covariance: From `covariance_of`.
     """
-    values, variance = optimum.point.extra_values(k), np.diag(optimum.covariance)
+    values, variance = optimum.point.extra_values(k), np.diag(covariance)
     extras = structure_at(optimum, k).extras
-    ci95 = {extra.name: _interval(extra, ends[extra.name]) for extra in extras if extra.estimated}
     status = {extra.name: extra_status(extra, ci95[extra.name]) for extra in extras if extra.estimated}
     error = {
         extra.name: float(np.sqrt(variance[optimum.point.place(extra.name, k)]))

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorfit.core.card import Prior
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.laws import LAG, STRUCTURES, Extra, Structure, level_range
+from rotorfit.core.laws import LAG, STRUCTURES, Extra, Structure, level_range, structure_named
 from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Predictor, Weighed, weighed
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, maximise_restricted
 from rotorfit.estimation.likelihood.coefficients import covariances, statuses, unfinished
@@ -282,16 +282,19 @@ def averaged(axes: Sequence[Axis], family: Family, name: str) -> Axis:
         family: The laws.
         name: Name of the axis.
     """
-    first, *others = axes
-    laws = tuple(weighed_law(law, family.plain, name) for law in family.laws)
-    share = _lag_share(family.laws[0].estimate)
+    laws = tuple(weighed_law(law, family.plain, name, axis) for law, axis in zip(family.laws, axes, strict=True))
+    return replace(united(axes[0], axes[1:]), laws=laws, lag_prior=_lag_share(family.laws[0].estimate))
+
+
+def united(first: Axis, others: Sequence[Axis]) -> Axis:
+    """An axis with the unions of its intervals and those of the same axis under other laws; statuses follow them."""
     if not others:
-        return replace(first, laws=laws, lag_prior=share)
+        return first
     ci95 = {
         key: _union([ends, *(other.ci95[key] for other in others if key in other.ci95)])
         for key, ends in first.ci95.items()
     }
-    extras = estimated_extras(family.laws[0].estimate.optimum, family.laws[0].estimate.place)
+    extras = [extra for extra in structure_named(first.structure).extras if extra.estimated]
     status = statuses(ci95) | {extra.name: extra_status(extra, ci95[extra.name]) for extra in extras}
     unknown = {key for key, said in status.items() if said != "ok"}
     combinations = {
@@ -314,8 +317,6 @@ def averaged(axes: Sequence[Axis], family: Family, name: str) -> Axis:
         },
         combinations=combinations,
         extra={key: None if key in unknown else value for key, value in first.extra.items()},
-        laws=laws,
-        lag_prior=share,
     )
 
 
@@ -328,17 +329,17 @@ def _union(intervals: Sequence[Interval]) -> Interval:
     )
 
 
-def weighed_law(law: Law, plain: Estimate, name: str) -> Weighed:
+def weighed_law(law: Law, plain: Estimate, name: str, axis: Axis) -> Weighed:
     """A law of an axis as in the model file.
 
     Args:
         law: The law.
         plain: Estimate of the axis under the first-order law with a delay.
         name: Name of the axis.
+        axis: The axis under this law.
     """
     optimum, k = law.estimate.optimum, law.estimate.place
-    found = Axis(None, None, None, {}, {}, {}, predictor=Predictor(0.0, 0.0, 0.0))
-    ((names, covariance),) = covariances((name,), [law.estimate], {name: found}).items()
+    ((names, covariance),) = covariances((name,), [law.estimate], {name: axis}).items()
     return weighed(
         structure_at(optimum, k).name,
         Predictor(
