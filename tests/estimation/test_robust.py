@@ -120,6 +120,15 @@ def test_bursts_that_pass_for_motion_are_found_whole(run: int) -> None:
     assert caught.mean() > 0.95
 
 
+@pytest.mark.parametrize("run", [1, 15])
+def test_of_a_tenth_of_the_poses_moved_on_all_axes_most_are_suspects_and_few_others(run: int) -> None:
+    flight, moved = swapped(clean(), share=0.1, seed=3, run=run)
+    suspects = {one.time for burst in jumped(flight) for one in burst}
+
+    assert len(suspects & set(moved)) > 0.8 * moved.size
+    assert len(suspects - set(moved)) < 0.2 * moved.size
+
+
 def test_a_bad_first_pose_is_not_taken_for_the_place_where_the_vehicle_is() -> None:
     first = np.searchsorted(clean().pose_time, clean().segments[0].start + 0.6)
     position = clean().position.copy()

@@ -53,6 +53,9 @@ GRAIN = 0.2
 LONGEST_BURST = 1.0
 """Longest time between a jump and the jump back [s]."""
 
+MOST_JUMPS = 4
+"""Largest number of jumps of a burst: a sum of many returns by chance."""
+
 MOST_OF_BURST = 0.5
 """Share of suspicious poses in a burst above which all of its poses are outliers."""
 
@@ -145,18 +148,18 @@ def jumped(flight: Flight) -> tuple[tuple[Outlier, ...], ...]:
         step = np.diff(pose)
         step = step - median_filter(step, JUMP_POSES)
         jumps = np.flatnonzero(np.abs(step) > JUMP * 1.4826 * np.median(np.abs(step)))
-        last = 0
+        last = -1  # the jump that ended a burst begins none
         for i in jumps[step[jumps] != 0]:
-            some = jumps[(jumps >= i) & (flight.pose_time[jumps] < flight.pose_time[i] + LONGEST_BURST)]
+            some = jumps[(jumps >= i) & (flight.pose_time[jumps] < flight.pose_time[i] + LONGEST_BURST)][:MOST_JUMPS]
             gone = np.cumsum(step[some])
             back = some[np.abs(gone) < ALIKE * abs(step[i])]
-            if i < last or not back.size:
+            if i <= last or not back.size:
                 continue
             last = int(back[0])
             times, size = flight.pose_time[i + 1 : last + 1], float(np.abs(gone[some < last]).max())
             bursts.append(tuple(Outlier(float(time), name, size) for time in times))
-    many = sum(map(len, bursts)) > GRAIN * flight.pose_time.size
-    return () if many else tuple(bursts)
+    suspects = {one.time for burst in bursts for one in burst}
+    return () if len(suspects) > GRAIN * flight.pose_time.size else tuple(bursts)
 
 
 def _kept(flight: Flight, outliers: Sequence[Outlier]) -> Flight:
