@@ -1,6 +1,7 @@
 """The compositions: spans, logs, cards, fitting and validating from files, comparing, destinations."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -247,6 +248,8 @@ def test_the_span_of_the_training_is_kept(folder: Path) -> None:
 
 def test_nothing_is_written_over_what_is_not_an_earlier_result(folder: Path, tmp_path: Path) -> None:
     check_destination(tmp_path / "new.json", MODEL_MARK)
+    os.mkfifo(tmp_path / "pipe")
+    check_destination(tmp_path / "pipe", MODEL_MARK)
     check_destination(folder / "ml.json", MODEL_MARK)
     page = tmp_path / "report.html"
     page.write_text("<!DOCTYPE html><title>x")

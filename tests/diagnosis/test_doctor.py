@@ -252,6 +252,17 @@ def test_saturated_commands(tmp_path: Path) -> None:
     assert share == pytest.approx(100 * np.mean(np.abs(log.command[:, 0]) == 0.2), abs=1)
 
 
+def test_zeros_in_the_place_of_blank_cells(tmp_path: Path) -> None:
+    words = Csv(flown(two_sines, 20.0)).write(tmp_path)
+    assert ("zeros_between_commands", None) not in said("info", *words)
+    log = Path(words[0])
+    log.write_text(re.sub(r",,,,$", ",0,0,0,0", log.read_text(), flags=re.MULTILINE))
+
+    found = said("info", *words)["zeros_between_commands", None]
+    assert found["severity"] == "error"
+    assert "1000 commands last for one sample each" in found["evidence"]
+
+
 def test_slow_commands_before_the_fit_and_with_it(tmp_path: Path) -> None:
     words = Csv(flown(slow, 40.0)).write(tmp_path)
 

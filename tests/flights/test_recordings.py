@@ -81,3 +81,27 @@ def test_commands_and_poses_with_clocks_of_their_own_in_one_table_are_cut_togeth
 
     np.testing.assert_array_equal(flight.position, flight_of(*long).position)
     np.testing.assert_array_equal(flight.command, flight_of(*long).command)
+
+
+@pytest.mark.parametrize("commands_first", [True, False])
+def test_commands_and_poses_joined_end_to_end_are_sorted(commands_first: bool) -> None:
+    def blank(table: dict, size: int) -> dict:
+        return {name: np.full(size, np.nan) for name in table if name != "t"}
+
+    cmd, pose = commands(start=100.0), poses(start=99.0)
+    with_cmd = {f"cmd_{name}": values for name, values in cmd.items() if name != "t"}
+    without = {f"cmd_{name}": values for name, values in blank(cmd, pose["t"].size).items()}
+    one, other = {"t": cmd["t"], **with_cmd, **blank(pose, cmd["t"].size)}, {**pose, **without}
+    columns = appended(one, other) if commands_first else appended(other, one)
+    raw = {
+        "command": {"time": "t", **{name: f"cmd_{name}" for name in cmd if name != "t"}},
+        "pose": {"time": "t", **{name: name for name in pose if name != "t"}},
+    }
+    log = replace(log_of(cmd, pose), tables={"flight": Table("flight", columns)})
+
+    flight = flight_from_log(log, card_from_mapping(raw, "test"))
+
+    assert counts(flight)["rows_sorted"] == cmd["t"].size + pose["t"].size
+    assert "clock_restarts" not in counts(flight)
+    np.testing.assert_array_equal(flight.position, flight_of(cmd, pose).position)
+    np.testing.assert_array_equal(flight.command, flight_of(cmd, pose).command)

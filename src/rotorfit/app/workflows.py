@@ -428,12 +428,14 @@ def check_destination(path: Path, mark: bytes) -> None:
     """Refuses to overwrite anything but an earlier result of the same kind; a log is never overwritten.
 
     Args:
-        path: Path that will be written.
+        path: Path that will be written; a terminal or a pipe takes anything.
         mark: Text in the first 4096 bytes of an earlier result, in lower case.
 
     Raises:
         LogError: The path is taken by something else, or its folder is missing or takes no file.
     """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        return  # a terminal or a pipe, which would be read for ever
     if path.is_dir() or (path.exists() and mark not in _head(path)):
         found = kind_of(path)
         told = KINDS[found].text if found else "no earlier result of this kind"

@@ -44,6 +44,16 @@ MEANING_LIMITS: Mapping[str, tuple[float, str]] = {
 """Largest plausible command for each meaning in SI: 80 degrees of tilt, a racer's speed, 3 turns per second."""
 
 
+BLANKS = 50
+"""Least number of single commands between zeros for the zeros to be filled blanks: nobody flies so many such pulses."""
+
+BLANK_SHARE = 0.8
+"""Least share of those among all commands that are not zero: two of them may follow each other."""
+
+BLANK_TIME = 0.5
+"""Longest median time between such commands [s]; a pilot's pulses of one sample are rarer."""
+
+
 def command_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the commands of one flight."""
     card, flight = recording.card, recording.flight
@@ -53,6 +63,7 @@ def command_findings(recording: Recording) -> Iterator[Finding]:
             yield from _saturated(axis, command)
             yield from _slow(axis, flight.command_time, command)
             yield from _units(axis, card, command)
+    yield from _zeros_between(flight)
     yield from _alike(flight)
     yield from _low_passed(flight)
 
@@ -140,6 +151,23 @@ def _units(axis: str, card: Card, command: Array) -> Iterator[Finding]:
             f"give the {axis} channel of [command] its unit (deg, deg/s, cm/s), or the scale that makes it a fraction",
             axis,
         )
+
+
+def _zeros_between(flight: Flight) -> Iterator[Finding]:
+    """Zeros of all axes between commands that last for a single sample each, as of blank cells that were filled."""
+    given = np.any(flight.command, axis=1)
+    single = given & ~np.append(False, given[:-1]) & ~np.append(given[1:], False)
+    at = flight.command_time[single]
+    if at.size < BLANKS or at.size < BLANK_SHARE * given.sum() or np.median(np.diff(at)) > BLANK_TIME:
+        return
+    yield Finding(
+        "zeros_between_commands",
+        "error",
+        f"{at.size} commands last for one sample each, and all axes are exactly 0 in between, in "
+        f"{100 * (1 - given.mean()):.0f} % of the samples: blank cells filled with 0?",
+        f"input gains are too large by the share of the zeros, {given.size / given.sum():.2g} times if they were blank",
+        "leave cells without a command blank, or repeat the last command there; do not fill them with 0",
+    )
 
 
 def _low_passed(flight: Flight) -> Iterator[Finding]:

@@ -3,16 +3,17 @@
 Their clocks start again, so that without a cut halves of two flights would become one.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.core.card import Card
+from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Note
+from rotorfit.core.frames import Indices
 from rotorfit.core.log import Column, Log, Table
-from rotorfit.flights.columns import table_of
+from rotorfit.flights.columns import column, table_of
 from rotorfit.flights.other_tables import is_beside, own_clock
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps, restarts, stamps_of
 
@@ -33,6 +34,7 @@ def longest_recording(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
         CardError: A column is missing.
         FlightError: Commands and poses do not start again together.
     """
+    log, ordered = _in_order(log, card)
     clocks = {(table.name, len(stamps)): stamps for table, stamps in _clocks(log, card)}
     cuts = {clock: (stamps, starts) for clock, stamps in clocks.items() if (starts := restarts(stamps))}
     commands, poses = (
@@ -40,7 +42,7 @@ def longest_recording(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
         for time in (card.command_time, card.pose_time)
     )
     if not commands:
-        return log, ()  # what poses saw before the first command is dropped as out of order
+        return log, ordered  # what poses saw before the first command is dropped as out of order
     if commands != poses:
         raise FlightError(
             f"{log.path}: the clock starts again, among the commands {commands} times and among the poses {poses} "
@@ -58,6 +60,34 @@ def longest_recording(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
         f"{len(each)} recordings in one file, of which rows {each[taken].start + 1} to {each[taken].stop} are used"
     )
     return replace(log, tables=tables), (Note("clock_restarts", text, len(each)),)
+
+
+def _in_order(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
+    """The log sorted by time where the rows of its commands stand before or after those of its poses; and a note.
+
+    That is how tables of commands and of poses are joined end to end.
+    """
+    if card.pose_time.source != card.command_time.source:
+        return log, ()
+    table, clock = table_of(log, str(card.command_time.source))
+    stamps = stamps_of(log, card.command_time)
+    parts = _parts(stamps, restarts(stamps))
+    motion = {**card.velocity, **card.pose}
+    if len(parts) < 2 or not all(_are_blank(log, card.command, one) or _are_blank(log, motion, one) for one in parts):
+        return log, ()
+    order = np.argsort(stamps, kind="stable")
+    columns = {name: _rows(column, order, len(stamps)) for name, column in table.columns.items()}
+    text = (
+        f"{table.name}: after row {', '.join(str(part.stop) for part in parts[:-1])} the time starts again, and no "
+        f"part has both commands and poses: its {len(stamps)} rows were sorted by {clock}"
+    )
+    note = Note("rows_sorted", text, len(stamps))
+    return replace(log, tables={**log.tables, table.name: replace(table, columns=columns)}), (note,)
+
+
+def _are_blank(log: Log, channels: Mapping[str, Channel], part: slice) -> bool:
+    """Whether none of the channels has a number in these rows."""
+    return not any(np.any(np.isfinite(column(log, channel)[part])) for channel in channels.values())
 
 
 def _clocks(log: Log, card: Card) -> Iterator[tuple[Table, Stamps]]:
@@ -93,10 +123,11 @@ def _length(stamps: Stamps) -> int:
 
 def _cut(table: Table, part: slice, count: int) -> Table:
     """A table with some of its rows; columns of another length have another clock."""
+    return replace(table, columns={name: _rows(column, part, count) for name, column in table.columns.items()})
 
-    def rows(column: Column) -> Column:
-        if len(column) == count:
-            return column[part]
-        return column[:, part] if column.ndim == 2 and column.shape[1] == count else column
 
-    return replace(table, columns={name: rows(column) for name, column in table.columns.items()})
+def _rows(values: Column, which: slice | Indices, count: int) -> Column:
+    """Some rows of a column of `count` rows; the column itself where it has another length."""
+    if len(values) == count:
+        return values[which]
+    return values[:, which] if values.ndim == 2 and values.shape[1] == count else values
