@@ -14,7 +14,12 @@ from flights import STILL, by_hand, flown, steps, truth_of
 from models import VEHICLE, model_of
 from other_laws import TRUTH, flown_by
 from rotorfit.app.workflows import load_flight
-from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
+from rotorfit.assessment.frequency.comparison import (
+    findings_of_responses,
+    model_bands,
+    response_mapping,
+    response_test,
+)
 from rotorfit.assessment.frequency.law_test import law_test, matched
 from rotorfit.assessment.frequency.loop import answers_motion
 from rotorfit.assessment.frequency.response import frequency_response, response_bands, response_of_bands
@@ -24,7 +29,7 @@ from rotorfit.core.flight_plan import value
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import FrequencyResponse
 from rotorfit.core.laws import FIRST_ORDER_DELAY, STRUCTURES
-from rotorfit.core.model import Predictor
+from rotorfit.core.model import COEFFICIENTS, Predictor, weighed
 from rotorfit.dynamics.irregular_fourier import IrregularFourier
 from rotorfit.dynamics.tones import tones_of
 from rotorfit.dynamics.transfer_function import has_transfer_function, law_phase, law_response
@@ -360,6 +365,26 @@ def test_a_model_that_is_right_lies_in_the_bands_and_its_own_band_is_around_it()
     assert (z.model_gain < z.gain_band[:, 1]).all()
     assert (z.model_delay_band[:, 0] < z.model_delay).all()
     assert (z.model_delay < z.model_delay_band[:, 1]).all()
+
+
+def test_a_models_band_covers_every_law_that_it_keeps() -> None:
+    model, omega = model_of(error=0.02), np.array([0.5, 2.0, 6.0])
+    alone, late = model_bands(model, "z", omega)
+    point = model.axes["z"].predictor
+    assert point is not None
+    plain = weighed("first_order_delay", point, COEFFICIENTS, np.diag([1e-4] * 3), 0.6)
+    slow = Predictor(1.1 * point.input, point.damping, 0.0, {"lag": 0.1})
+    lagged = weighed("first_order_delay_lag", slow, (*COEFFICIENTS, "lag"), np.diag([1e-6] * 4), 0.4)
+    both = replace(model, axes={**model.axes, "z": replace(model.axes["z"], laws=(plain, lagged))})
+
+    band, half = model_bands(both, "z", omega)
+    law = STRUCTURES["first_order_delay_lag"]
+    gain = np.abs(law_response(law, slow, omega))
+    off = law_phase(law, slow, omega) - law_phase(FIRST_ORDER_DELAY, point, omega)
+
+    assert np.all((band[:, 0] < gain) & (gain < band[:, 1]))
+    assert np.all((band[:, 0] <= alone[:, 0]) & (band[:, 1] >= alone[:, 1]))
+    assert np.all(half >= np.maximum(late, np.abs(off) / omega))
 
 
 def test_a_flight_without_a_response_says_why() -> None:

@@ -20,8 +20,8 @@ from rotorfit.core.model import (
     Predictor,
     Weighed,
     first_order,
+    laws_of_vehicle,
     predictor_of,
-    weighed,
 )
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
@@ -176,23 +176,11 @@ def _is_far_out(vehicle: LoopVehicle, ci95: Mapping[str, Interval]) -> bool:
 
 def _own_laws(model: Model, axis: str) -> tuple[Weighed, ...]:
     """The laws that an axis may have, with the uncertainty of the vehicle; first order where they do not serve."""
-    known, plain = model.axes[axis], first_order(model, axis)
-    structure = structure_named(known.structure)
-    if known.predictor is None or not has_own_margins(structure):
-        return (plain,)
-    names = [name.partition(".")[2] for name in model.covariance_names if name.startswith(f"{axis}.")]
-    at = [model.covariance_names.index(f"{axis}.{name}") for name in names]
-    chosen = weighed(known.structure, known.predictor, names, model.covariance[np.ix_(at, at)])
-    if len(known.laws) < 2:
-        return (plain,) if known.structure == STRUCTURE else (chosen,)
-    own = known.laws[0]
-    wider = {name: chosen.stderr[name] / own.stderr[name] for name in names if name in own.stderr}
-    most = max(wider.values(), default=1.0)
-    others = [
-        replace(law, stderr={name: error * wider.get(name, most) for name, error in law.stderr.items()})
-        for law in known.laws[1:]
-    ]
-    return (replace(chosen, weight=own.weight), *others)
+    known = model.axes[axis]
+    if known.predictor is None or not has_own_margins(structure_named(known.structure)):
+        return (first_order(model, axis),)
+    laws = laws_of_vehicle(model, axis)
+    return (first_order(model, axis),) if len(laws) == 1 and known.structure == STRUCTURE else laws
 
 
 def _reach(laws: Sequence[Weighed], ci95: Mapping[str, Interval]) -> dict[str, tuple[float, float]]:

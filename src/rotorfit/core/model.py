@@ -494,6 +494,30 @@ def unknown_why(model: Model, axis: str) -> str:
     return f"({status}): {MEND if status == FROZEN else f'fit a flight that moves it{PLANNED}'}"
 
 
+def laws_of_vehicle(model: Model, axis: str) -> tuple[Weighed, ...]:
+    """The laws that an axis may have, its own first, with the uncertainty of the vehicle.
+
+    The covariance of the model is that of its own law. The others are widened as much, parameter by parameter.
+
+    Raises:
+        ModelError: The axis was not excited.
+    """
+    known, point = model.axes[axis], predictor_of(model, axis)
+    names = [name.partition(".")[2] for name in model.covariance_names if name.startswith(f"{axis}.")]
+    at = [model.covariance_names.index(f"{axis}.{name}") for name in names]
+    chosen = weighed(known.structure, point, names, model.covariance[np.ix_(at, at)])
+    if len(known.laws) < 2:
+        return (chosen,)
+    own = known.laws[0]
+    wider = {name: chosen.stderr[name] / own.stderr[name] for name in names if name in own.stderr}
+    most = max(wider.values(), default=1.0)
+    others = [
+        replace(law, stderr={name: error * wider.get(name, most) for name, error in law.stderr.items()})
+        for law in known.laws[1:]
+    ]
+    return (replace(chosen, weight=own.weight), *others)
+
+
 def first_order(model: Model, axis: str) -> Weighed:
     """An axis as a first-order law with a delay: its own law, or the one stored beside another law.
 

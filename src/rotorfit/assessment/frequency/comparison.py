@@ -18,7 +18,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import LawTest, ResponseComparison
 from rotorfit.core.laws import Structure, structure_named
-from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Model
+from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Model, Predictor, laws_of_vehicle
 from rotorfit.core.results import Motion
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.dynamics.transfer_function import has_transfer_function, law_phase, law_response
@@ -67,13 +67,30 @@ def compared(model: Model, flight: Flight, axis: str, motion: Motion | None = No
 
 
 def model_bands(model: Model, axis: str, omega: Array) -> tuple[Array, Array]:
-    """95 % bands of a model's gain (K, 2), and half widths of those of its delay (K,) [s]; NaN without a covariance."""
+    """95 % bands of a model's gain (K, 2), and half widths of those of its delay (K,) [s]; NaN without a covariance.
+
+    As the intervals of the coefficients, they cover every law that the axis may have.
+    """
     known = model.axes[axis]
     structure, point = structure_named(known.structure), known.predictor
     assert point is not None
     covariance = _covariance(model, axis, structure, known)
     if covariance is None:
         return np.full((omega.size, 2), np.nan), np.full(omega.size, np.nan)
+    laws = [(structure, point, covariance)]
+    for law in laws_of_vehicle(model, axis)[1:]:
+        other = structure_named(law.structure)
+        scale = _scale(other, law.predictor, list(law.stderr))
+        laws.append((other, law.predictor, law.covariance * np.outer(scale, scale)))
+    bands = [_band(*law, omega) for law in laws]
+    gain = [np.exp([size - half, size + half]) for size, half, _, _ in bands]
+    late = [np.abs(phase - bands[0][2]) + half for _, _, phase, half in bands]
+    ends = np.stack([np.min([low for low, _ in gain], axis=0), np.max([high for _, high in gain], axis=0)], axis=1)
+    return ends, np.max(late, axis=0) / omega
+
+
+def _band(structure: Structure, point: Predictor, covariance: Array, omega: Array) -> tuple[Array, Array, Array, Array]:
+    """Log gain and phase of a law, each with the half width of its 95 % interval by the delta method, (K,) each."""
     at = coordinates(structure, point)
     step = 1e-5 * np.eye(at.size)
     moved = [
@@ -82,10 +99,11 @@ def model_bands(model: Model, axis: str, omega: Array) -> tuple[Array, Array]:
         for d in step
     ]  # fmt: skip
     slope = np.stack(moved, axis=1)
-    half = NORMAL * np.sqrt(np.einsum("kp,pq,kq->k", slope.real, covariance, slope.real))
-    late = NORMAL * np.sqrt(np.einsum("kp,pq,kq->k", slope.imag, covariance, slope.imag)) / omega
-    gain = np.abs(law_response(structure, point, omega))
-    return np.stack([gain * np.exp(-half), gain * np.exp(half)], axis=1), late
+    half, turn = (
+        NORMAL * np.sqrt(np.maximum(np.einsum("kp,pq,kq->k", part, covariance, part), 0.0))
+        for part in (slope.real, slope.imag)
+    )
+    return np.log(np.abs(law_response(structure, point, omega))), half, law_phase(structure, point, omega), turn
 
 
 def _covariance(model: Model, axis: str, structure: Structure, known: Axis) -> Array | None:
@@ -93,9 +111,7 @@ def _covariance(model: Model, axis: str, structure: Structure, known: Axis) -> A
     point, names = known.predictor, list(model.covariance_names)
     assert point is not None
     wanted = [*COEFFICIENTS[: 2 + structure.delayed], *(one.name for one in structure.extras if one.estimated)]
-    logs = {one.name: one.logarithmic for one in structure.extras}
-    values = {"input": point.input, "damping": max(point.damping, SLOWEST), "delay": 1.0, **point.extra}
-    scale = np.array([1 / abs(values[n]) if logs.get(n, n in ("input", "damping")) else 1.0 for n in wanted])
+    scale = _scale(structure, point, wanted)
     out = np.zeros((len(wanted),) * 2)
     for i, first in enumerate(wanted):
         for j, second in enumerate(wanted):
@@ -107,6 +123,13 @@ def _covariance(model: Model, axis: str, structure: Structure, known: Axis) -> A
                 return None
             out[i, i] = error**2
     return out * np.outer(scale, scale)
+
+
+def _scale(structure: Structure, point: Predictor, names: Sequence[str]) -> Array:
+    """Derivatives of the coordinates of some parameters with respect to their values, in the order of the names."""
+    logs = {one.name: one.logarithmic for one in structure.extras}
+    values = {"input": point.input, "damping": max(point.damping, SLOWEST), "delay": 1.0, **point.extra}
+    return np.array([1 / abs(values[n]) if logs.get(n, n in ("input", "damping")) else 1.0 for n in names])
 
 
 # Findings
