@@ -274,6 +274,17 @@ def test_residuals_of_one_axis_of_a_turning_vehicle_are_white_too() -> None:
     assert np.std(e) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("moved", "told"), [(("x", "y", "yaw"), ["x"]), (("x", "yaw"), []), (("x", "y"), [])])
+def test_where_the_heading_turns_x_without_a_commanded_y_is_told_to_be_scored_for_it(
+    moved: tuple[str, ...], told: list[str]
+) -> None:
+    flight = flown(Truth(), steps(moved, seed=1), 12.0, 1)
+
+    found = [one for one in validate(of(y=None), [flight]).findings if one.code == "other_axis_unknown"]
+
+    assert [one.axis for one in found] == told
+
+
 def test_the_explained_response_follows_the_flight() -> None:
     flight = flown(replace(Truth(), wind_sigma=(0.0,) * 4), steps(("z",), seed=1), 20.0, 1)
 

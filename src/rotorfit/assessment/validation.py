@@ -1,6 +1,6 @@
 """Model + other flights -> Validation: prediction errors beside naive baselines, and tests of the residuals."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any, Literal
 
@@ -33,7 +33,8 @@ from rotorfit.dynamics.protocol import (
     predictions,
     scores_of,
 )
-from rotorfit.estimation.grouping import without_held_axes
+from rotorfit.estimation.grouping import commands_axis, without_held_axes
+from rotorfit.estimation.likelihood.blocks import HELD_HEADING
 from rotorfit.flights.distinct import check_distinct, check_flights
 
 BASELINES = ("hold", "paper", "coast")
@@ -130,6 +131,7 @@ def validate(
     )
     found += [_delay_not_tested(flight) for flight in flights if unclocked(model, flight)]
     known = [axis for axis in AXES if model.axes[axis].predictor]
+    found += _alone_in_the_plane(known, flights)
     found += findings_of_loops(flights, known, max(horizons))
     found = [*(one for each in misread for one in each), *sorted(found, key=lambda finding: finding.severity == "info")]
     return Validation(
@@ -142,6 +144,26 @@ def validate(
         responses=responses,
         bands=tuple(bands),
     )
+
+
+def _alone_in_the_plane(known: Sequence[str], flights: Sequence[Flight]) -> Iterator[Finding]:
+    """A finding on x or y where the heading turns while the other one, which the model does not know, is commanded."""
+    for axis, other in (("x", "y"), ("y", "x")):
+        turns = [
+            float(np.ptp(flight.yaw)) for flight in flights if all(commands_axis(flight, one) for one in (axis, other))
+        ]
+        turned = max(turns, default=0.0)
+        if axis in known and other not in known and turned > 2 * HELD_HEADING:
+            yield Finding(
+                "other_axis_unknown",
+                "warning",
+                f"{axis} is predicted without {other}, of which the model has no numbers, while the heading turns by "
+                f"up to {np.degrees(turned):.0f} degrees",
+                f"what the commands of {other} do counts as an error of {axis}: scores, verdicts and residual tests of "
+                f"{axis} are not those of its coefficients",
+                f"fit {other} as well, or validate {axis} on flights that keep their heading",
+                axis,
+            )
 
 
 def _delay_not_tested(flight: Flight) -> Finding:
