@@ -182,7 +182,8 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
             axes[name] = replace(axis, predictor=None)
             missing[name] = f"the data cannot tell {listed(unknown)}"
         if name in missing:
-            notes.append(f"{name} is left out and keeps its velocity: {missing[name]}.")
+            more = f"{_told(axis)}; the option predictor exports the point that predicts best" if axis.predictor else ""
+            notes.append(f"{name} is left out and keeps its velocity: {missing[name]}{more}.")
     for one, other in (("x", "y"), ("y", "x")):
         if axes[one].predictor and not axes[other].predictor and structure_named(axes[one].structure).kicks >= 2:
             axes[one] = replace(axes[one], predictor=None)
@@ -202,6 +203,13 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
         if (known := axes[name].predictor) and known.input < 0
     ]
     return replace(model, axes=axes), notes
+
+
+def _told(axis: Axis) -> str:
+    """Which combinations the data tell of an axis whose coefficients they do not."""
+    parts = axis.combinations
+    names = [name for name in ("steady_gain", "total_lag") if name in parts and None not in parts[name].ci95]
+    return f", but {listed([name.replace('_', ' ') for name in names])}" if names else ""
 
 
 def _remedy(model: Model) -> str:
