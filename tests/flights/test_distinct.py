@@ -4,17 +4,20 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clean_flights import clean_flights
 from flights import flown, steps
 from logs import Csv
 from rotorfit.app.workflows import fit_logs, validate_logs
+from rotorfit.assessment.innovations import was_fitted
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.log_span import parse_log
-from rotorfit.flights.distinct import check_distinct
+from rotorfit.files.models import from_mapping, to_mapping
+from rotorfit.flights.distinct import check_distinct, landmarks, passes
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
 
@@ -61,6 +64,27 @@ def test_files_are_refused_by_their_content(tmp_path: Path) -> None:
     model = fit_logs(both[:1], card, axes=("z",)).model
     with pytest.raises(FlightError, match="the same poses"):
         validate_logs(model, both)
+
+
+def test_the_same_poses_in_another_file_with_fewer_digits_and_another_clock_are_recognised() -> None:
+    model = fit([flight()], axes=("z",), structure="first_order_delay").model
+    rounded = replace(
+        flight(),
+        sha256="1" * 64,
+        pose_time=np.round(flight().pose_time, 3) + 5.0,
+        position=np.round(flight().position, 5),
+    )
+
+    assert was_fitted(model, rounded)
+    assert was_fitted(from_mapping(to_mapping(model), "test"), rounded)
+    assert not was_fitted(model, flight(2))
+
+
+def test_hovers_at_one_place_in_steps_of_a_centimetre_are_not_taken_for_one_flight() -> None:
+    coarse = [replace(one, position=np.round(one.position, 2), yaw=np.round(one.yaw, 2)) for one in map(flight, (1, 2))]
+
+    assert passes(coarse[0], landmarks(coarse[0]))
+    assert not passes(coarse[1], landmarks(coarse[0]))
 
 
 def test_forty_flights_of_many_vehicles_are_all_different() -> None:

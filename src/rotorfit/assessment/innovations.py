@@ -19,6 +19,7 @@ from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.likelihood import whiten
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.flights.distinct import passes
 
 
 @dataclass(frozen=True)
@@ -106,9 +107,11 @@ def parameter_covariance(model: Model, axis: str) -> Array:
 
 
 def was_fitted(model: Model, flight: Flight) -> bool:
-    """Whether an overlapping stretch of the same log was used in the fit."""
+    """Whether an overlapping stretch of the same log was used in the fit, or the same poses in another file."""
     return any(
-        source.sha256 == flight.sha256 and min(source.span[1], flight.span[1]) > max(source.span[0], flight.span[0])
+        min(source.span[1], flight.span[1]) > max(source.span[0], flight.span[0])
+        if source.sha256 == flight.sha256
+        else passes(flight, source.landmarks)
         for source in model.flights
     )
 

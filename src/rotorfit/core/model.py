@@ -356,6 +356,7 @@ class Source:
         span: Start and end of the part used, within its common window [s].
         notes: Repairs.
         axes: The axes that it was used for.
+        landmarks: Some of its poses, by which it is recognised in another file, see `flights.distinct`.
     """
 
     path: str
@@ -363,6 +364,7 @@ class Source:
     span: tuple[float, float]
     notes: tuple[Note, ...] = ()
     axes: tuple[str, ...] = ()
+    landmarks: tuple[tuple[float, ...], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ from rotorfit.estimation.methods import BEST, METHODS
 from rotorfit.estimation.regression.axes_by_method import axes_by_method
 from rotorfit.estimation.regression.paper import paper_regression
 from rotorfit.estimation.zero_command import braking, commanded_parts
-from rotorfit.flights.distinct import check_distinct, check_flights
+from rotorfit.flights.distinct import check_distinct, check_flights, landmarks
 
 Priors = Mapping[str, Mapping[str, Prior]]
 
@@ -261,11 +261,13 @@ def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Foun
         paper=tuple(float(g) if np.isfinite(g) else None for g in paper.gamma),
         paper_noise=_paper_noise(flights, tuple(found.axes), paper),
         findings=(),
-        flights=tuple(
-            Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if commands_axis(f, axis)))
-            for f in flights
-        ),
+        flights=tuple(Source(f.path, f.sha256, f.span, f.notes, _commanded(f), landmarks(f)) for f in flights),
     )
+
+
+def _commanded(flight: Flight) -> tuple[str, ...]:
+    """The axes that a flight commands."""
+    return tuple(axis for axis in AXES if commands_axis(flight, axis))
 
 
 def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) -> None:

@@ -105,7 +105,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in physics(model).items()},
         "conversion": asdict(model.conversion) if model.conversion else None,
         "findings": [asdict(finding) for finding in model.findings],
-        "flights": [asdict(flight) for flight in model.flights],
+        "flights": [_source_mapping(flight) for flight in model.flights],
         "leave_one_out": None if model.leave_one_out is None else dict(model.leave_one_out),
         "uncertainty": model.uncertainty and asdict(model.uncertainty),
         "prior": None if model.prior is None else {name: asdict(use) for name, use in model.prior.items()},
@@ -116,6 +116,14 @@ def _paper_mapping(model: Model) -> dict[str, Any]:
     """The paper's coefficients, with the noise of their predictions where it is known: old models have none."""
     noise = {axis: dict(levels) for axis, levels in model.paper_noise.items()}
     return {"gamma": list(model.paper), **({"noise": noise} if noise else {})}
+
+
+def _source_mapping(source: Source) -> dict[str, Any]:
+    """A flight as plain types; old models have no landmarks."""
+    raw = asdict(source)
+    if not source.landmarks:
+        del raw["landmarks"]
+    return raw
 
 
 def _axis_mapping(axis: Axis) -> dict[str, Any]:

@@ -1,17 +1,32 @@
-"""Checks that the inputs are distinct flights: the same poses twice would count as twice the evidence."""
+"""Are inputs distinct flights? The same poses twice would count as twice the evidence, or as a proof."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import Array
 
 RUN = 20
 """Length of a run of poses, with all their digits, that two flights do not share by chance."""
 
 CHANGES = 10
 """Number of changes that a run must contain: two vehicles that stand still look alike."""
+
+LANDMARKS = 24
+"""Number of poses by which a flight is recognised in another file."""
+
+NEAR = 1e-4
+"""Largest difference in each coordinate of a pose that was saved again with fewer digits [m, rad]."""
+
+AT_ONCE = 0.1
+"""Largest difference of the time between two landmarks [s]."""
+
+SHARED = 0.75
+"""Least share of the landmarks that a flight must pass, in their order of time, to be the same: in coarse steps two
+hovers pass many at other times."""
 
 LEAST = 1.0
 """Shared time from which two flights are refused [s]: parts of one log may touch."""
@@ -43,7 +58,7 @@ def check_distinct(flights: Sequence[Flight]) -> None:
         return
     seen: dict[int, int] = {}
     for number, flight in enumerate(flights):
-        rows = np.ascontiguousarray(np.column_stack([flight.position, flight.yaw]))
+        rows = np.ascontiguousarray(_poses(flight))
         if len(rows) <= RUN:
             continue
         moving = np.any(np.diff(rows, axis=0) != 0, axis=1)
@@ -61,6 +76,29 @@ def check_distinct(flights: Sequence[Flight]) -> None:
             if time >= LEAST:
                 raise FlightError(_refusal(flights[other], flight, time))
         seen |= {key: number for key in keys if key is not None}
+
+
+def landmarks(flight: Flight) -> tuple[tuple[float, ...], ...]:
+    """Some poses of a flight, evenly over those that differ from the one before: time [s], x, y, z, yaw [m, rad]."""
+    rows = _poses(flight)
+    moving = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0, axis=1)) + 1
+    some = moving[np.linspace(0, moving.size - 1, min(LANDMARKS, moving.size)).astype(int)]
+    return tuple(map(tuple, np.round(np.column_stack([flight.pose_time[some], rows[some]]), 6).tolist()))
+
+
+def passes(flight: Flight, marks: Sequence[Sequence[float]]) -> bool:
+    """Whether a flight passes most of the landmarks of another at the same intervals: then it is the same."""
+    rows, offsets = _poses(flight), Counter[int]()
+    for time, *pose in marks:
+        met = flight.pose_time[np.all(np.abs(rows - pose) < NEAR, axis=1)] - time
+        slots = np.round(met / AT_ONCE).astype(int)
+        offsets.update({*slots.tolist(), *(slots + 1).tolist()})  # two slots each, so that none is missed by rounding
+    return max(offsets.values(), default=0) > SHARED * len(marks)
+
+
+def _poses(flight: Flight) -> Array:
+    """Position and heading, shape (N, 4)."""
+    return np.column_stack([flight.position, flight.yaw])
 
 
 def _refusal(one: Flight, other: Flight, time: float) -> str:
