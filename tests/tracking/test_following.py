@@ -82,6 +82,21 @@ def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(ear
         assert high is None or most is None or most >= high - 1e-12
 
 
+@pytest.mark.parametrize("off", [0.3, 3.0])
+def test_where_curvature_denies_what_data_can_do_the_interval_of_the_refit_stands(
+    early: GroupEstimate, off: float
+) -> None:
+    """As where two parameters have nearly the same effect: linearised errors swing from step to step."""
+    half = {name: (own, others, off * error) for name, (own, others, error) in early.half["z"].items()}
+    axis = early.fit.model.axes["z"]
+
+    told = axis_report(replace(early, half={"z": half}, stepped=20.0), "z")
+
+    assert told.ci95["input"] == axis.ci95["input"]
+    assert told.ci95_flight["input"] == axis.ci95_flight["input"]
+    assert told.values["input"] == axis.input
+
+
 def test_of_an_axis_that_is_not_followed_nothing_is_said(early: GroupEstimate) -> None:
     told = axis_report(early, "x")
 

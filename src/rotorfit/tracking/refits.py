@@ -47,6 +47,9 @@ PASSES = 3
 GROWN = 1.015
 """Growth of the excited time that calls for a step: each look of the first minute has one."""
 
+CREDIBLE = 1.25
+"""Factor beyond what data can do to a standard error from which on curvature is not believed."""
+
 LEVELS_EVERY = 5
 """Every how many steps the levels of the disturbance move too: they change slowly, and cost as much as the rest."""
 
@@ -352,9 +355,12 @@ def axis_report(fitted: GroupEstimate, axis: str) -> AxisReport:
         if name not in QUANTITIES or name not in then:
             continue
         own, others, error = then[name]
-        share = _shrunk(one, estimate, error)
-        flight[name] = interval(one, 0.0, _times(own, share))
-        vehicle[name] = interval(one, 0.0, _between(_times(own, share), own, others))
+        share = _shrunk(one, estimate, error, fitted)
+        if share is None:
+            vehicle[name], flight[name] = _ends(fitted.fit.model.axes[axis], name)
+        else:
+            flight[name] = interval(one, 0.0, _times(own, share))
+            vehicle[name] = interval(one, 0.0, _between(_times(own, share), own, others))
         values[name] = one.value
     status = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
     if read_backwards(vehicle, status):
@@ -382,9 +388,16 @@ def read_backwards(ends: Mapping[str, Interval], status: Mapping[str, str]) -> b
     return latest is not None and latest < 0 and status["input"] != "ok"
 
 
-def _shrunk(one: Estimand, estimate: Estimate, error: float) -> float:
-    """The standard error now as a share of what it was at the refit."""
-    return one.error(estimate.optimum) / error if error > 0 else 1.0
+def _shrunk(one: Estimand, estimate: Estimate, error: float, fitted: GroupEstimate) -> float | None:
+    """The standard error now as a share of what it was at the refit; None where curvature does not tell.
+
+    Data never take information away, and between refits it hardly grows faster than the excited time.
+    Where two parameters have nearly the same effect, curvature says otherwise from step to step: then the interval of
+    the refit stands.
+    """
+    least = (fitted.seen / fitted.stepped) ** 0.5 if fitted.stepped > fitted.seen else 1.0
+    share = one.error(estimate.optimum) / error if error > 0 else 1.0
+    return min(max(share, least), 1.0) if least / CREDIBLE < share < CREDIBLE else None
 
 
 def _times(half: Half, share: float) -> Half:
