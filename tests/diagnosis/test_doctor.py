@@ -198,6 +198,16 @@ def test_stale_poses(tmp_path: Path) -> None:
     found = said("info", *Csv(flight).write(tmp_path))["stale_poses", None]
     assert found["severity"] == "info"
     assert numbers(found["evidence"])[0] == flight.stale.sum()
+    assert found["effect"] == "they were dropped; kept, they would move gain and delay"  # lost at random
+
+
+def test_rows_that_hold_the_latest_of_slower_poses(tmp_path: Path) -> None:
+    log = Csv(flown())
+    latest = np.arange(len(log.pose)) // 2 * 2
+    log.pose = log.pose[latest]
+
+    found = said("info", *log.write(tmp_path))["stale_poses", None]
+    assert "delays come out up to 8.33 ms too long, and their intervals reach as much lower" in found["effect"]
 
 
 def test_repeated_commands(tmp_path: Path) -> None:
@@ -224,6 +234,7 @@ def test_stamps_of_a_coarse_clock_are_told_and_widen_the_delay_by_their_step(tmp
     found = said("info", *log.write_rows(tmp_path))
     assert found["coarse_stamps", None]["severity"] == "warning"
     assert "the clock advances in steps of 0.1 s" in found["coarse_stamps", None]["evidence"]
+    assert "delays come out up to 100 ms too short or too long" in found["coarse_stamps", None]["effect"]
     assert numbers(found["commands_by_row", None]["evidence"])[-1] == 100
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flights import fit_as_flown
@@ -46,6 +47,45 @@ def test_commands_with_stamps_of_their_own_are_known(tmp_path: Path) -> None:
     log, _, card = Csv(simulate_flight(TRUTH, two_sines, 20.0, 1)).write(tmp_path)
 
     assert load_flight(parse_log(log), card).command_lateness == 0.0
+
+
+def test_a_pose_in_a_later_row_was_measured_up_to_a_row_before(tmp_path: Path) -> None:
+    """Rows of 30 Hz hold the latest of poses at 15 Hz; commands have rows of their own: the delay is too long."""
+    log = Csv(simulate_flight(replace(TRUTH, pose_rate=15.0), two_sines, 60.0, 1))
+    rows = np.arange(log.pose_time[0] + 0.032, log.pose_time[-1], 1 / 30)
+    log.pose = log.pose[np.searchsorted(log.pose_time, rows, side="right") - 1]
+    log.pose_time = rows
+    path, _, card = log.write(tmp_path)
+    flight = load_flight(parse_log(path), card)
+    told, stamped = (fit_as_flown([f]).model.axes["yaw"] for f in (flight, replace(flight, pose_lateness=0.0)))
+    delay, lag = TRUTH.delay[3], TRUTH.delay[3] + 1 / TRUTH.gamma[7]
+
+    assert flight.pose_lateness == pytest.approx(1 / 30, rel=0.01)
+    assert flight.command_lateness == 0.0
+    for one, other, true in (
+        (told.ci95["delay"], stamped.ci95["delay"], delay),
+        (told.ci95_flight["delay"], stamped.ci95_flight["delay"], delay),
+        (told.combinations["total_lag"].ci95, stamped.combinations["total_lag"].ci95, lag),
+    ):
+        assert None not in one + other
+        assert one[0] < true < other[0]  # type: ignore[operator]
+        assert one == (pytest.approx(other[0] - flight.pose_lateness), other[1])  # type: ignore[operator]
+    assert told.ci95["input"] == stamped.ci95["input"]
+    assert told.delay == stamped.delay
+
+
+def test_stamps_of_a_coarse_clock_are_known_to_its_step(tmp_path: Path) -> None:
+    log = Csv(simulate_flight(replace(TRUTH, pose_rate=50.0), two_sines, 60.0, 1))
+    log.pose_time, log.command_time = np.round(log.pose_time, 1), np.round(log.command_time, 1)
+    path, _, card = log.write(tmp_path)
+    flight = load_flight(parse_log(path), card)
+    told, stamped = (fit_as_flown([f]).model.axes["yaw"] for f in (flight, replace(flight, stamp_step=0.0)))
+
+    assert flight.stamp_step == pytest.approx(0.1)
+    (low, high), narrow = told.ci95["delay"], stamped.ci95["delay"]
+    assert (low, high) == (pytest.approx(narrow[0] - 0.1), pytest.approx(narrow[1] + 0.1))  # type: ignore[operator]
+    assert narrow[1] < TRUTH.delay[3] < high  # type: ignore[operator]
+    assert told.ci95["input"] == stamped.ci95["input"]
 
 
 def test_what_the_card_states_of_its_stamps_is_in_the_delay(tmp_path: Path) -> None:

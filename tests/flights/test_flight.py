@@ -342,6 +342,55 @@ def test_stale_poses_are_dropped_and_the_first_of_a_run_stays() -> None:
     np.testing.assert_allclose(np.diff(flight.pose_time), 0.03, atol=1e-9)
 
 
+def test_poses_in_rows_faster_than_they_come_are_up_to_a_row_late() -> None:
+    pose, rng = poses(), np.random.default_rng(0)
+    at = np.arange(1200)
+
+    def late(shown: np.ndarray) -> float:
+        return flight_of(pose=rows(pose, shown) | {"t": pose["t"]}).pose_lateness
+
+    assert late(at - at % 3) == pytest.approx(0.01)
+    slower = np.cumsum(np.append(0, 1 + 0.4 * rng.random(1200)))  # at a rate of their own, unsteady
+    assert late(np.searchsorted(slower, at, side="right") - 1) == pytest.approx(0.01)
+    assert late(np.maximum.accumulate(np.where(rng.random(1200) < 0.3, 0, at))) == 0.0  # lost at random
+    assert late(np.maximum(at, 600)) == 0.0  # on the ground
+
+
+@pytest.mark.parametrize(
+    ("command", "pose", "late"),
+    [
+        (slice(None), slice(None), (0.05, 0.0)),
+        (slice(2, None), slice(None), (0.05, 0.0)),  # rows of the poses: no command at first
+        (slice(None), slice(2, None), (0.05, 0.05)),  # rows with the latest pose: none at first
+        (slice(None), slice(None, -2), (0.05, 0.0)),  # cameras that lost the vehicle
+        (slice(None), slice(None, 50), (0.0, 0.0)),
+    ],
+)
+def test_what_shared_rows_say_of_their_stamps(command: slice, pose: slice, late: tuple[float, float]) -> None:
+    cmd, seen = commands(), poses(10.0, 0.05, 0.0)
+    table = {"t": cmd["t"]}
+    for prefix, values, kept in (("c", cmd, command), ("p", seen, pose)):
+        for name in ("x", "y", "z", "yaw"):
+            table[prefix + name] = np.full(cmd["t"].size, np.nan)
+            table[prefix + name][kept] = values[name][kept]
+    axes = ("x", "y", "z", "yaw")
+    card = card_with(
+        command={"time": "rows:t", **{name: f"rows:c{name}" for name in axes}},
+        pose={"time": "rows:t", **{name: f"rows:p{name}" for name in axes}},
+    )
+    flight = flight_from_log(log_of(commands(), poses(), rows=table), card)
+
+    assert (flight.command_lateness, flight.pose_lateness) == pytest.approx(late)
+
+
+def test_a_clock_is_coarse_where_samples_that_share_a_stamp_differ() -> None:
+    cmd, pose = commands(), poses(period=0.02)
+    often = np.arange(200).repeat(3)
+
+    assert flight_of(pose=pose | {"t": np.floor(pose["t"] * 10) / 10}).stamp_step == pytest.approx(0.1)
+    assert flight_of(rows(cmd, often)).stamp_step == 0.0  # copies, each with the stamp of the command
+
+
 @pytest.mark.parametrize("times", [2, 4])
 def test_a_pose_in_centimetres_that_is_sent_several_times_is_stale(times: int) -> None:
     pose = {name: values if name == "t" else np.round(values, 2) for name, values in poses(period=0.04).items()}

@@ -185,6 +185,9 @@ class Flight:
             flights included [s].
         command_lateness: How long before its stamp a command may have been sent [s]: the period of rows that hold a
             command and a pose; 0 where commands have stamps of their own.
+        pose_lateness: How long before its stamp a pose may have been measured [s]: the period of rows that hold the
+            latest pose; 0 where poses have stamps of their own.
+        stamp_step: Step of a clock that most poses, or commands, share a stamp of [s]: none is known to less.
     """
 
     path: str
@@ -206,6 +209,8 @@ class Flight:
     stamp_error: float = 0.0
     shared_error: float = 0.0
     command_lateness: float = 0.0
+    pose_lateness: float = 0.0
+    stamp_step: float = 0.0
 
     def __repr__(self) -> str:
         said = (

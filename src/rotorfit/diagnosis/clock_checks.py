@@ -297,13 +297,15 @@ def _coarse(flight: Flight) -> Iterator[Finding]:
     """Stamps of which most are the same as the one before."""
     for what, time in (("pose", flight.pose_time), ("command", flight.command_time)):
         dropped = sum(note.count for note in flight.notes if note.code == f"{what}_stamps_repeated")
-        if dropped > time.size > 1:
+        if flight.stamp_step and dropped > time.size > 1:
             yield Finding(
                 "coarse_stamps",
                 "warning",
                 f"{dropped} of {dropped + time.size} {what}s repeat a stamp: the clock advances in steps of "
                 f"{np.median(np.diff(time)):.3g} s",
-                f"the first {what} of each step is used and the others are lost; what moves within a step is not seen",
+                f"the first {what} of each step is used and the others are lost; no stamp is known to less than a "
+                f"step: delays come out up to {1e3 * flight.stamp_step:.0f} ms too short or too long, and their "
+                "intervals reach as much lower and higher",
                 f"log stamps in milliseconds or finer, or name a finer column as time of [{what}]",
             )
 
@@ -312,13 +314,20 @@ def _stale(flight: Flight) -> Iterator[Finding]:
     stale = sum(note.count for note in flight.notes if note.code == "stale_poses")
     outside = sum(note.count for note in flight.notes if note.code == "poses_outside")
     share = stale / max(stale + outside + flight.pose_time.size, 1)
+    period = f"{1e3 * flight.pose_lateness:.3g} ms"
+    late = (
+        f"; rows hold the latest of slower poses, up to {period} old when first shown: delays come out up to {period} "
+        "too long, and their intervals reach as much lower"
+        if flight.pose_lateness
+        else ""
+    )
     if share > STALE_SHARE:
         yield Finding(
             "stale_poses",
             "info",
             f"{stale} poses ({100 * share:.0f} %) repeat the one before under a fresh stamp",
-            "they were dropped; kept, they would move gain and delay",
-            "let the motion capture bridge publish new frames only",
+            f"they were dropped; kept, they would move gain and delay{late}",
+            "let the motion capture bridge publish new frames only, each with the time at which it was taken",
         )
 
 
@@ -331,11 +340,13 @@ def _by_row(flight: Flight) -> Iterator[Finding]:
         return
     late = f"{1e3 * period:.0f} ms"
     each = f"each row holds a command and a pose; commands change in {100 * changed:.0f} % of the rows"
-    effect = (
-        f"delays come out up to {late} too short, and their intervals reach {late} higher; gain and damping keep their "
-        "values"
-    )
+    short, keeps = f"delays come out up to {late} too short", "gain and damping keep their values"
+    effect = f"{short}, and their intervals reach {late} higher; {keeps}"
     remedy = "log commands by themselves, each with the stamp at which it was sent"
+    if flight.pose_lateness:
+        seen = f"{1e3 * flight.pose_lateness:.0f} ms"
+        effect = f"{short}, or up to {seen} too long; their intervals reach {late} higher and {seen} lower; {keeps}"
+        remedy = "log commands and poses by themselves, each with a stamp of its own"
     if changed < REPEATED_SHARE:
         evidence = (
             f"{each}: a change bears the stamp of its row, {1e3 * period / 2:.0f} ms late in the mean, {late} at most"
@@ -343,4 +354,11 @@ def _by_row(flight: Flight) -> Iterator[Finding]:
         yield Finding("repeated_commands", "info", evidence, effect, remedy)
     else:
         evidence = f"{each}: a command bears the stamp of its row, and may have been sent up to {late} before"
+        if flight.pose_lateness:
+            evidence += "; so does the pose, the latest one by then"
+        else:
+            remedy += (
+                "; where each command makes its row and takes the latest pose, delays come out too long by the age of "
+                "that pose instead: log poses by themselves, too"
+            )
         yield Finding("commands_by_row", "info", evidence, effect, remedy)

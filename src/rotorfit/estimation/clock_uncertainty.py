@@ -14,8 +14,13 @@ from rotorfit.estimation.identifiability import WIDEST_DELAY
 
 _WITH_DELAY = ("total_lag", "delay_plus_lag")
 
-NOTHING: Mapping[str, float] = MappingProxyType({})
+Ends = tuple[float, float]
+"""By how much a delay may be shorter, and longer [s]."""
+
+NOTHING: Mapping[str, Ends] = MappingProxyType({})
 """No error of any axis."""
+
+_NEITHER = (0.0, 0.0)
 
 
 def check_clocks(flights: Sequence[Flight]) -> None:
@@ -50,15 +55,19 @@ def clock_half_width(flights: Sequence[Flight], axis: str) -> float:
     return float(np.hypot(alike, np.linalg.norm([f.duration / length * h for f, h in zip(moving, own, strict=True)])))
 
 
-def row_period(flights: Sequence[Flight], axis: str) -> float:
-    """By how much the delay of an axis may be longer, as commands were sent before the stamps of their rows [s].
+def lateness(flights: Sequence[Flight], axis: str) -> Ends:
+    """By how much the delay of an axis may be shorter, as poses were measured before their stamps, and longer [s].
 
-    The mean over the flights, weighted by their length; a logger is as late on one flight as on the next.
+    It may be longer as commands were sent before theirs; and either by the step of a clock that is coarser. The means
+    over the flights, weighted by their length; a logger is as late on one flight as on the next.
     """
     k = AXES.index(axis)
     moving = [f for f in flights if axis in f.axes and np.any(f.command[:, k])]
     length = sum(f.duration for f in moving)
-    return sum(f.duration / length * f.command_lateness for f in moving)
+    return (
+        sum(f.duration / length * max(f.pose_lateness, f.stamp_step) for f in moving),
+        sum(f.duration / length * max(f.command_lateness, f.stamp_step) for f in moving),
+    )
 
 
 def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
@@ -66,15 +75,16 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
 
     Where an offset between two clocks was measured, or stamps were corrected by their arrival times, that error is
     added in quadrature to the errors of the delay, of delay plus lag and of the total lag. Where commands bear the
-    stamps of rows of poses, upper ends are raised by the period of the rows. Where only the response to the commands
-    revealed the offset, no delay is published, and its rows leave the covariance.
+    stamps of rows of poses, upper ends are raised by the period of the rows; where poses bear those of later rows,
+    lower ends are lowered by it; where a clock is coarse, both are moved by its step. Where only the response to the
+    commands revealed the offset, no delay is published, and its rows leave the covariance.
 
     Args:
         model: As fitted to the stamps on one clock.
         flights: The flights that it was fitted to.
     """
     half = {axis: clock_half_width(flights, axis) for axis in AXES}
-    wider = with_delay_error(model, half, (AXES,), {axis: row_period(flights, axis) for axis in AXES})
+    wider = with_delay_error(model, half, (AXES,), {axis: lateness(flights, axis) for axis in AXES})
     held = [flight.clocks for flight in flights if flight.clocks and flight.clocks.includes_delay]
     if not held:
         return wider
@@ -89,7 +99,7 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
 
 
 def with_delay_error(
-    model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]], longer: Mapping[str, float] = NOTHING
+    model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]], beyond: Mapping[str, Ends] = NOTHING
 ) -> Model:
     """The model with further, independent errors of its delays.
 
@@ -97,19 +107,20 @@ def with_delay_error(
         model: As fitted.
         half: Axis to half the 95 % interval of an error [s], added in quadrature.
         shared: Groups of axes whose delays share the errors.
-        longer: Axis to the time by which the delay may be longer [s], added to the upper ends; any share of it is
-            equally likely.
+        beyond: Axis to the times by which the delay may be shorter, and longer [s], by which the ends are moved; any
+            share of each is equally likely.
     """
-    if not any(half.values()) and not any(longer.values()):
+    if not any(half.values()) and not any(map(any, beyond.values())):
         return model
-    axes = {name: _widened(axis, half.get(name, 0.0), longer.get(name, 0.0)) for name, axis in model.axes.items()}
+    axes = {name: _widened(axis, half.get(name, 0.0), beyond.get(name, _NEITHER)) for name, axis in model.axes.items()}
     covariance = model.covariance.copy()
     delays = [(i, name.split(".")[0]) for i, name in enumerate(model.covariance_names) if name.endswith(".delay")]
     for i, one in delays:
         for j, other in delays:
             if any(one in group and other in group for group in shared):
                 covariance[i, j] += half.get(one, 0.0) * half.get(other, 0.0) / NORMAL**2
-                covariance[i, j] += longer.get(one, 0.0) * longer.get(other, 0.0) / 12
+                for these, those in zip(beyond.get(one, _NEITHER), beyond.get(other, _NEITHER), strict=True):
+                    covariance[i, j] += these * those / 12
     return replace(model, axes=axes, covariance=covariance)
 
 
@@ -141,40 +152,40 @@ def _law_without_delay(law: Weighed) -> Weighed:
     return weighed(law.structure, law.predictor, names, covariance, law.weight, law.log_likelihood)
 
 
-def _widened(axis: Axis, half: float, longer: float) -> Axis:
+def _widened(axis: Axis, half: float, beyond: Ends) -> Axis:
     """The axis with independent errors of its delay added, see `with_delay_error` [s]."""
     center = axis.predictor.delay if axis.predictor else None
-    if center is None or not (half or longer) or axis.ci95["delay"] == (None, None):
+    if center is None or not (half or any(beyond)) or axis.ci95["delay"] == (None, None):
         return axis
-    low, high = ends = _wider(axis.ci95["delay"], _middle(axis.ci95["delay"], axis.delay, center), half, longer)
+    low, high = ends = _wider(axis.ci95["delay"], _middle(axis.ci95["delay"], axis.delay, center), half, beyond)
     own = dict(axis.ci95_flight)
     if own:
-        own["delay"] = _wider(own["delay"], _middle(own["delay"], None, center), half, longer)
+        own["delay"] = _wider(own["delay"], _middle(own["delay"], None, center), half, beyond)
     error = axis.stderr["delay"]
     wide = low is None or high is None or high - low >= WIDEST_DELAY
     lost = wide or axis.status["delay"] != "ok"
     return replace(
         axis,
         delay=None if lost else axis.delay,
-        stderr={**axis.stderr, "delay": None if lost or error is None else _summed(error, half, longer)},
+        stderr={**axis.stderr, "delay": None if lost or error is None else _summed(error, half, beyond)},
         ci95={**axis.ci95, "delay": ends},
         ci95_flight=own,
         status={**axis.status, "delay": "not_identifiable"} if wide else axis.status,
         combinations={
-            name: _combination(one, half, longer) if name in _WITH_DELAY else one
+            name: _combination(one, half, beyond) if name in _WITH_DELAY else one
             for name, one in axis.combinations.items()
         },
     )
 
 
-def _summed(error: float, half: float, longer: float) -> float:
+def _summed(error: float, half: float, beyond: Ends) -> float:
     """Standard error with those of the further errors; the variance of a uniform one is a twelfth of its square."""
-    return float(np.sqrt(error**2 + (half / NORMAL) ** 2 + longer**2 / 12))
+    return float(np.sqrt(error**2 + (half / NORMAL) ** 2 + sum(one**2 for one in beyond) / 12))
 
 
-def _combination(one: Combination, half: float, longer: float) -> Combination:
-    own = one.ci95_flight and _wider(one.ci95_flight, _middle(one.ci95_flight, None, one.value), half, longer)
-    return replace(one, ci95=_wider(one.ci95, one.value, half, longer), ci95_flight=own)
+def _combination(one: Combination, half: float, beyond: Ends) -> Combination:
+    own = one.ci95_flight and _wider(one.ci95_flight, _middle(one.ci95_flight, None, one.value), half, beyond)
+    return replace(one, ci95=_wider(one.ci95, one.value, half, beyond), ci95_flight=own)
 
 
 def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
@@ -188,10 +199,11 @@ def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
     return otherwise if low is None or high is None or low <= otherwise <= high else 0.5 * (low + high)
 
 
-def _wider(ends: Interval, center: float, half: float, longer: float) -> Interval:
-    """An interval with an independent error of its centre added in quadrature to each side, and one to its end."""
+def _wider(ends: Interval, center: float, half: float, beyond: Ends) -> Interval:
+    """An interval with an independent error of its centre added in quadrature to each side, and one to each end."""
     low, high = ends
+    shorter, longer = beyond
     return (
-        None if low is None else center - float(np.hypot(center - low, half)),
+        None if low is None else center - float(np.hypot(center - low, half)) - shorter,
         None if high is None else center + float(np.hypot(high - center, half)) + longer,
     )

@@ -120,6 +120,10 @@ def _stay(level: Array) -> int:
     return int(left[0]) if left.size else len(level)
 
 
+SHARED = 0.9
+"""Least share of rows that hold both a command and a pose where rows are shared: the first ones may lack what had not
+come yet, and cameras lose the vehicle."""
+
 _TURN = np.radians(0.5)
 
 ACTS_AFTER = 0.15
@@ -175,6 +179,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     command_end = np.minimum((commands.until[acting] - origin) / 1e9, stop)
     segments = _segments(command_time, command_end)
     _check_duration(log, segments, pose_time)
+    late, seen_late = _lateness(log, card)
     notes = (
         *([Note("units", units, 1)] if units else []),
         *chosen,
@@ -213,7 +218,9 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         velocity=velocity,
         stamp_error=math.hypot(stamp_error, unseen),
         shared_error=math.hypot(card.command_time.error, card.pose_time.error),
-        command_lateness=_row_period(log, card),
+        command_lateness=late,
+        pose_lateness=poses.repeating or seen_late,
+        stamp_step=max(commands.step, poses.step),
     )
 
 
@@ -225,15 +232,25 @@ def _error_notes(card: Card) -> Iterator[Note]:
             yield Note("stamp_error", f"{known}: the interval of every delay holds it", 1)
 
 
-def _row_period(log: Log, card: Card) -> float:
-    """Period of rows that hold a command and a pose [s]; 0 where commands have rows of their own."""
+def _lateness(log: Log, card: Card) -> tuple[float, float]:
+    """How long before its stamp a command may have been sent, and a pose measured [s]: the period of shared rows.
+
+    Rows are shared where nearly each holds a command and a pose; 0 where they are not. Rows with a command that begin
+    before the first pose are not those of the poses: each holds the latest one.
+    """
     if log.file_of or card.command_time.source != card.pose_time.source:
-        return 0.0
+        return 0.0, 0.0
+    stamps = stamps_of(log, card.command_time)
     commands, poses = (
-        stamps_of(log, time)[sample_rows(log, time, channels)]
+        sample_rows(log, time, channels)
         for time, channels in ((card.command_time, card.command), (card.pose_time, card.pose))
     )
-    return (median_period(np.unique(commands)) or 0) / 1e9 if np.array_equal(commands, poses) else 0.0
+    if np.sum(commands & poses) < SHARED * np.sum(commands | poses):
+        return 0.0, 0.0
+    alone = np.flatnonzero(commands & ~poses)
+    looked_up = alone.size > 0 and alone[-1] < np.argmax(poses)
+    period = (median_period(np.unique(stamps[commands])) or 0) / 1e9
+    return period, period if looked_up else 0.0
 
 
 def _read_notes(log: Log) -> Iterator[Note]:

@@ -55,6 +55,19 @@ nothing measurable, and splitting the flight there costs the 0.6 s that a segmen
 NEVER = np.int64(2**62)
 """End time of a sample that acts until the next one [ns]."""
 
+OTHER = 0.01
+"""Share of the samples with a stamp of an earlier one that must differ from it: commands seldom change within a step of
+the clock, poses always do."""
+
+REPEATING = 0.05
+"""Share of repeated poses from which on it is judged why they repeat."""
+
+STRETCH, EACH = 20, 10
+"""Rows in which repeats are counted: at least so many, and so many poses."""
+
+EVEN, SURE = 0.5, 2.5
+"""Share of the binomial variance below which repeats come evenly (of slower poses in recorded and simulated rows at
+most 0.3, of lost frames at least 0.9), and by how many standard errors of that variance."""
 
 _STRETCHED = 1.15
 """Ratio of the longest to the shortest of the common lengths of a quaternion, above which it is none."""
@@ -70,6 +83,8 @@ class Stream:
         values: Shape (N, 4): x, y, z, yaw.
         until: Time until which a command acts without a successor, shape (N,) [ns].
         notes: Repairs so far.
+        step: Step of the clock where most samples share a stamp [s]; 0 where it tells them apart.
+        repeating: Period of rows that each hold the latest of slower poses [s]; 0 where poses have their own.
     """
 
     what: str
@@ -77,6 +92,8 @@ class Stream:
     values: Array
     until: Stamps
     notes: tuple[Note, ...] = ()
+    step: float = 0.0
+    repeating: float = 0.0
 
 
 def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
@@ -135,6 +152,7 @@ def poses_of(log: Log, card: Card) -> Stream:
     stream = in_order(numbers(Stream("pose", stamps, values, np.full(len(stamps), NEVER), notes), log), log)
     seen = stream.values[:, own] if any(own) else stream.values  # values interpolated from other tables are never stale
     if not (coarse(seen) if card.velocity_only else rounded_repeats(seen)):  # else what is left would lead the motion
+        stream = replace(stream, repeating=_repeating(stream.stamps, seen))
         stream = keep_samples(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
     if len(stream.stamps) < 2 or not (card.velocity_only or np.any(np.ptp(seen, axis=0))):
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
@@ -316,7 +334,50 @@ def in_order(stream: Stream, log: Log) -> Stream:
         stream, ~back, f"{stream.what}_stamps_reversed", "are stamped before their predecessors: dropped"
     )
     stream = _sorted(stream)
+    stream = replace(stream, step=_step(stream.stamps, stream.values))
     return keep_samples(stream, increasing(stream.stamps), f"{stream.what}_stamps_repeated", "repeat a stamp: dropped")
+
+
+def _step(stamps: Stamps, values: Array) -> float:
+    """Step of a clock that most samples share a stamp of [s]; 0 where it tells them apart.
+
+    Copies do not count: a command that stands with its own stamp in several rows of poses is the same sample.
+
+    Args:
+        stamps: Not decreasing, shape (N,) [ns].
+        values: Shape (N, K).
+    """
+    first = increasing(stamps)
+    rows = np.flatnonzero(~first)
+    if not 1 < np.sum(first) < rows.size:
+        return 0.0
+    kept = np.flatnonzero(first)[np.cumsum(first)[rows] - 1]
+    other = np.any(values[rows] != values[kept], axis=1)
+    return float(np.median(np.diff(stamps[first]))) / 1e9 if np.mean(other) > OTHER else 0.0
+
+
+def _repeating(stamps: Stamps, values: Array) -> float:
+    """Period of rows that each hold the latest of slower poses [s]; 0 where poses have rows of their own.
+
+    Slower poses at a rate of their own repeat in every stretch of rows as often as in the next, frames that are lost
+    at random do not: their number in a stretch has the variance of a binomial distribution, or more.
+
+    Args:
+        stamps: Increasing, shape (N,) [ns].
+        values: Shape (N, K).
+    """
+    again = ~fresh(values)
+    rate = 1 - float(np.mean(again))
+    if not REPEATING < 1 - rate < 1:
+        return 0.0
+    size = max(STRETCH, round(EACH / rate))
+    number = np.sum(again[: again.size // size * size].reshape(-1, size), axis=1)
+    number = number[number < size]  # a pose that stays for so long stands on the ground, or is lost
+    if number.size < 2:
+        return 0.0
+    share = float(np.mean(number)) / size
+    even = float(np.var(number)) < min(EVEN, 1 - SURE * np.sqrt(2 / number.size)) * size * share * (1 - share)
+    return float(np.median(np.diff(stamps))) / 1e9 if even else 0.0
 
 
 def _sorted(stream: Stream) -> Stream:
