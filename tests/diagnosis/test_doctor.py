@@ -227,6 +227,17 @@ def test_commands_that_change_in_every_row_are_known_to_within_it(tmp_path: Path
     assert numbers(found["commands_by_row", None]["evidence"])[-1] == 40
 
 
+def test_interpolated_commands_are_not_told_as_late(tmp_path: Path) -> None:
+    log = Csv(flown(truth=replace(TRUTH, pose_rate=50.0, command_rate=20.0)))
+    command = np.stack([np.interp(log.pose_time, log.command_time, one) for one in log.command.T], axis=1)
+    log.command_time, log.command = log.pose_time, command
+
+    found = said("info", *log.write_rows(tmp_path))
+    assert ("commands_by_row", None) not in found
+    assert numbers(found["commands_interpolated", None]["evidence"]) == [pytest.approx(50, abs=2)]
+    assert numbers(found["commands_interpolated", None]["effect"]) == pytest.approx([25, 20, 25, 20], abs=1)
+
+
 def test_stamps_of_a_coarse_clock_are_told_and_widen_the_delay_by_their_step(tmp_path: Path) -> None:
     log = Csv(flown(two_sines))
     log.pose_time = np.floor(log.pose_time * 10) / 10

@@ -74,6 +74,20 @@ def test_a_pose_in_a_later_row_was_measured_up_to_a_row_before(tmp_path: Path) -
     assert told.delay == stamped.delay
 
 
+def test_the_vehicle_may_have_held_commands_that_the_log_interpolates(tmp_path: Path) -> None:
+    log = Csv(simulate_flight(replace(TRUTH, pose_rate=50.0, command_rate=20.0), two_sines, 60.0, 1))
+    command = np.stack([np.interp(log.pose_time, log.command_time, one) for one in log.command.T], axis=1)
+    log.command_time, log.command = log.pose_time, command
+    path, _, card = log.write_rows(tmp_path)
+    flight = load_flight(parse_log(path), card)
+    told, stamped = (fit_as_flown([f]).model.axes["yaw"] for f in (flight, replace(flight, command_lead=0.0)))
+
+    assert flight.command_lead == pytest.approx(0.025, rel=0.02)
+    (low, high), narrow = told.ci95["delay"], stamped.ci95["delay"]
+    assert (low, high) == (pytest.approx(narrow[0] - flight.command_lead), narrow[1])  # type: ignore[operator]
+    assert low < TRUTH.delay[3] < narrow[0]  # type: ignore[operator]
+
+
 def test_stamps_of_a_coarse_clock_are_known_to_its_step(tmp_path: Path) -> None:
     log = Csv(simulate_flight(replace(TRUTH, pose_rate=50.0), two_sines, 60.0, 1))
     log.pose_time, log.command_time = np.round(log.pose_time, 1), np.round(log.command_time, 1)

@@ -187,6 +187,8 @@ class Flight:
             command and a pose; 0 where commands have stamps of their own.
         pose_lateness: How long before its stamp a pose may have been measured [s]: the period of rows that hold the
             latest pose; 0 where poses have stamps of their own.
+        command_lead: How long before the vehicle a command in the log may change [s]: half the period of commands
+            between which lines were drawn onto the rows; 0 where there are no such lines.
         stamp_step: Step of a clock that most poses, or commands, share a stamp of [s]: none is known to less.
     """
 
@@ -210,6 +212,7 @@ class Flight:
     shared_error: float = 0.0
     command_lateness: float = 0.0
     pose_lateness: float = 0.0
+    command_lead: float = 0.0
     stamp_step: float = 0.0
 
     def __repr__(self) -> str:

@@ -143,7 +143,9 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     yield from _several(flight)
     yield from _command_gaps(flight)
     yield from _pose_gaps(flight)
-    if flight.command_lateness:
+    if flight.command_lead:
+        yield _interpolated(flight)
+    elif flight.command_lateness:
         yield from _by_row(flight)
     else:
         effect = "the time at which a command acts is no better known: the delay comes out wide or biased"
@@ -329,6 +331,22 @@ def _stale(flight: Flight) -> Iterator[Finding]:
             f"they were dropped; kept, they would move gain and delay{late}",
             "let the motion capture bridge publish new frames only, each with the time at which it was taken",
         )
+
+
+def _interpolated(flight: Flight) -> Finding:
+    """Commands between which lines were drawn: the log changes before the command that the vehicle held."""
+    lead, late = 1e3 * flight.command_lead, 1e3 * flight.command_lateness
+    sent = f", or, if the lines were sent as they stand, up to {late:.0f} ms too short" if late else ""
+    reach = f"; their intervals reach {lead:.0f} ms lower{f' and {late:.0f} ms higher' if late else ''}"
+    return Finding(
+        "commands_interpolated",
+        "info",
+        f"commands lie on straight lines between instants about {2 * lead:.0f} ms apart: they were interpolated onto "
+        "the rows",
+        f"if the vehicle held each command until the next, delays come out {lead:.0f} ms too long{sent}{reach}; gain "
+        "and damping keep their values",
+        "log commands as they were sent, each with its stamp, and leave cells blank where none was",
+    )
 
 
 def _by_row(flight: Flight) -> Iterator[Finding]:

@@ -56,16 +56,17 @@ def clock_half_width(flights: Sequence[Flight], axis: str) -> float:
 
 
 def lateness(flights: Sequence[Flight], axis: str) -> Ends:
-    """By how much the delay of an axis may be shorter, as poses were measured before their stamps, and longer [s].
+    """By how much the delay of an axis may be shorter, and longer [s].
 
-    It may be longer as commands were sent before theirs; and either by the step of a clock that is coarser. The means
-    over the flights, weighted by their length; a logger is as late on one flight as on the next.
+    Shorter as poses were measured before their stamps, or commands were held until lines led to the next; longer as
+    commands were sent before their stamps; either by the step of a coarse clock. The means over the flights, weighted
+    by their length; a logger is as late on one flight as on the next.
     """
     k = AXES.index(axis)
     moving = [f for f in flights if axis in f.axes and np.any(f.command[:, k])]
     length = sum(f.duration for f in moving)
     return (
-        sum(f.duration / length * max(f.pose_lateness, f.stamp_step) for f in moving),
+        sum(f.duration / length * (max(f.pose_lateness, f.stamp_step) + f.command_lead) for f in moving),
         sum(f.duration / length * max(f.command_lateness, f.stamp_step) for f in moving),
     )
 
@@ -76,8 +77,9 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
     Where an offset between two clocks was measured, or stamps were corrected by their arrival times, that error is
     added in quadrature to the errors of the delay, of delay plus lag and of the total lag. Where commands bear the
     stamps of rows of poses, upper ends are raised by the period of the rows; where poses bear those of later rows,
-    lower ends are lowered by it; where a clock is coarse, both are moved by its step. Where only the response to the
-    commands revealed the offset, no delay is published, and its rows leave the covariance.
+    lower ends are lowered by it, and where lines were drawn between commands, by half their period; where a clock is
+    coarse, both are moved by its step. Where only the response to the commands revealed the offset, no delay is
+    published, and its rows leave the covariance.
 
     Args:
         model: As fitted to the stamps on one clock.

@@ -21,6 +21,7 @@ from rotorfit.flights.clocks.sender_drift import on_the_recorders_clock
 from rotorfit.flights.clocks.two_clocks import ANSWER_HALF, on_one_clock
 from rotorfit.flights.columns import unit_note
 from rotorfit.flights.command_hold import with_judged_hold
+from rotorfit.flights.drawn_lines import period_of_lines
 from rotorfit.flights.low_pass import without_low_pass
 from rotorfit.flights.onboard_velocity import in_the_world, velocities_of, with_travel
 from rotorfit.flights.other_tables import sample_rows
@@ -164,6 +165,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
     poses, velocities = poses_of(log, card), velocities_of(log, card)
+    lead = period_of_lines(commands.stamps, commands.values) / 2
     commands = with_judged_hold(log, card, commands, axes, poses)
     commands = without_low_pass(commands, axes, poses, card.command_frame == "world")
     commands = airborne(commands, poses, card)
@@ -220,6 +222,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         shared_error=math.hypot(card.command_time.error, card.pose_time.error),
         command_lateness=late,
         pose_lateness=poses.repeating or seen_late,
+        command_lead=lead,
         stamp_step=max(commands.step, poses.step),
     )
 
