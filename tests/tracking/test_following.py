@@ -10,7 +10,7 @@ from flights import flown, steps, truth_of
 from other_laws import flown_by
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS, Interval, Predictor, Weighed
+from rotorfit.core.model import COEFFICIENTS, Interval, Predictor, Weighed, weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.models import load, save
@@ -82,19 +82,35 @@ def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(ear
         assert high is None or most is None or most >= high - 1e-12
 
 
-@pytest.mark.parametrize("off", [0.3, 3.0])
-def test_where_curvature_denies_what_data_can_do_the_interval_of_the_refit_stands(
-    early: GroupEstimate, off: float
+@pytest.mark.parametrize(("off", "share"), [(0.3, 1.0), (1.5, 0.9**0.5), (3.0, 0.9**0.5)])
+def test_an_interval_never_widens_between_refits_nor_shrinks_by_more_than_the_excited_time_allows(
+    early: GroupEstimate, off: float, share: float
 ) -> None:
-    """As where two parameters have nearly the same effect: linearised errors swing from step to step."""
-    half = {name: (own, others, off * error) for name, (own, others, error) in early.half["z"].items()}
-    axis = early.fit.model.axes["z"]
+    half = {name: replace(one, error=off * one.error) for name, one in early.half["z"].items()}
+    (low, high), now = axis_report(early, "z").ci95_flight["input"], replace(early, half={"z": half}, stepped=20.0)
+    least, most = axis_report(now, "z").ci95_flight["input"]
 
-    told = axis_report(replace(early, half={"z": half}, stepped=20.0), "z")
+    assert low is not None
+    assert high is not None
+    assert least is not None
+    assert most is not None
+    assert np.log(most / least) == pytest.approx(share * np.log(high / low))
 
-    assert told.ci95["input"] == axis.ci95["input"]
-    assert told.ci95_flight["input"] == axis.ci95_flight["input"]
-    assert told.values["input"] == axis.input
+
+def test_what_more_data_cannot_tell_stays_in_the_interval() -> None:
+    """An error of all stamps, and the way between two laws that are still possible."""
+    flight = replace(until(known_flight(), 18.0), shared_error=0.03)
+    fitted = replace(refitted(flight, ("z",), LAW, 18.0), stepped=1e9)
+    tiny = {name: replace(one, error=1e9 * one.error) for name, one in fitted.half["z"].items()}
+    low, high = axis_report(replace(fitted, half={"z": tiny}), "z").ci95_flight["delay"]
+    assert low is not None
+    assert high is not None
+    assert 0.5 * (high - low) == pytest.approx(0.03, rel=1e-6)
+
+    z = fitted.fit.model.axes["z"]
+    both = replace(fitted.fit.model, axes={"z": replace(z, laws=2 * (weighed(LAW, z.predictor, (), np.eye(0)),))})
+    told = axis_report(replace(fitted, half={"z": tiny}, fit=replace(fitted.fit, model=both)), "z")
+    assert told.ci95_flight["delay"] == pytest.approx(z.ci95_flight["delay"])
 
 
 def test_of_an_axis_that_is_not_followed_nothing_is_said(early: GroupEstimate) -> None:

@@ -18,13 +18,15 @@ from rotorfit.core.laws import structure_named
 from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis, Interval, Model, unknown_axis
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES
+from rotorfit.estimation.clock_uncertainty import clock_half_width, lateness
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, coupled_records
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, interval
-from rotorfit.estimation.likelihood.extra_parameters import extra_status
+from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, extra_status
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.zero_command import commanded_parts
@@ -47,14 +49,33 @@ PASSES = 3
 GROWN = 1.015
 """Growth of the excited time that calls for a step: each look of the first minute has one."""
 
-CREDIBLE = 1.25
-"""Factor beyond what data can do to a standard error from which on curvature is not believed."""
-
 LEVELS_EVERY = 5
 """Every how many steps the levels of the disturbance move too: they change slowly, and cost as much as the rest."""
 
+LATE = ("delay", "delay_plus_lag", "total_lag")
+"""Quantities that an error of the stamps is part of."""
+
 Half = tuple[float | None, float | None]
 """Half widths of an interval, below and above; None where it is open."""
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Half widths of the intervals of a quantity at a refit, on its scale.
+
+    Attributes:
+        flight: Of the interval of this flight.
+        vehicle: Of the interval of the vehicle.
+        error: Standard error by curvature, see `_curvature_error`.
+        stamps: The part that is an error of the stamps, which more data do not reduce [s].
+        beyond: By how much the stamps move the ends, below and above [s].
+    """
+
+    flight: Half
+    vehicle: Half
+    error: float
+    stamps: float = 0.0
+    beyond: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -66,8 +87,7 @@ class GroupEstimate:
         fit: The last refit.
         seen: Excited time at the refit [s].
         estimates: Axis name to the current estimate; an axis without numbers is missing.
-        half: Axis and quantity to the half widths at the refit of the intervals of this flight and of the vehicle, and
-            the standard error then, all on the scale of the quantity.
+        half: Axis and quantity to the half widths at the refit.
         steps: Number of steps since the refit.
         stepped: Excited time at the last step, or at the refit [s].
     """
@@ -76,7 +96,7 @@ class GroupEstimate:
     fit: Fit
     seen: float
     estimates: Mapping[str, Estimate]
-    half: Mapping[str, Mapping[str, tuple[Half, Half, float]]]
+    half: Mapping[str, Mapping[str, Widths]]
     steps: int = 0
     stepped: float = 0.0
 
@@ -117,17 +137,36 @@ def group_estimate(found: Fit, group: Sequence[str], seen: float) -> GroupEstima
         seen: Excited time of the flight [s].
     """
     estimates = {axis: e for axis, e in found.estimates.items() if axis in group and found.model.axes[axis].predictor}
-    half = {axis: _half_widths(found.model.axes[axis], estimate) for axis, estimate in estimates.items()}
+    half = {axis: _widths(found, axis) for axis in estimates}
     return GroupEstimate(tuple(group), found, seen, estimates, half, stepped=seen)
 
 
-def _half_widths(axis: Axis, estimate: Estimate) -> dict[str, tuple[Half, Half, float]]:
-    """Quantity to the half widths of its intervals, of the flight and of the vehicle, and its standard error."""
+def _widths(found: Fit, axis: str) -> dict[str, Widths]:
+    """Quantity to the half widths of its intervals."""
+    estimate, known = found.estimates[axis], found.model.axes[axis]
+    stamps, beyond = clock_half_width(found.flights, axis), lateness(found.flights, axis)
     out = {}
     for name, one in estimands(estimate.optimum, estimate.place).items():
-        vehicle, flight = _ends(axis, name)
-        out[name] = half_widths(one, flight), half_widths(one, vehicle), one.error(estimate.optimum)
+        vehicle, flight = _ends(known, name)
+        error = _curvature_error(one, estimate)
+        late = (stamps, beyond) if name in LATE else ()
+        out[name] = Widths(half_widths(one, flight), half_widths(one, vehicle), error, *late)
     return out
+
+
+def _curvature_error(one: Estimand, estimate: Estimate) -> float:
+    """Standard error on the scale of a quantity by curvature, for the further parameters of the law as they are.
+
+    Of a further parameter it is that for the coefficients as they are. Where two have nearly the same effect, as lag
+    and damping, or zero and delay, the inverse of the information jumps from step to step; this part of it does not.
+    """
+    optimum, k = estimate.optimum, estimate.place
+    extras = [extra.name for extra in estimated_extras(optimum, k)]
+    held = [name for name in (*COEFFICIENTS, *extras) if name != one.name] if one.name in extras else extras
+    free = optimum.free.copy()
+    free[[optimum.point.place(name, k) for name in held]] = False
+    C = inverted(optimum.score.information, free)[: one.slope.size, : one.slope.size]
+    return float(np.sqrt(max(one.slope @ C @ one.slope, 0.0)))
 
 
 def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
@@ -216,7 +255,7 @@ def _within(fitted: GroupEstimate, axis: str) -> bool:
     told = axis_report(fitted, axis).values
     then, now = (estimands(one.optimum, one.place) for one in (fitted.fit.estimates[axis], fitted.estimates[axis]))
     moved = {name: now[name].scaled() - then[name].scaled() for name in COEFFICIENTS if told[name] is not None}
-    half = {name: fitted.half[axis][name][0][int(by > 0)] for name, by in moved.items()}
+    half = {name: fitted.half[axis][name].flight[int(by > 0)] for name, by in moved.items()}
     return len(moved) == len(COEFFICIENTS) and all(abs(by) < (half[name] or 0.0) for name, by in moved.items())
 
 
@@ -354,13 +393,9 @@ def axis_report(fitted: GroupEstimate, axis: str) -> AxisReport:
     for name, one in estimands(estimate.optimum, estimate.place).items():
         if name not in QUANTITIES or name not in then:
             continue
-        own, others, error = then[name]
-        share = _shrunk(one, estimate, error, fitted)
-        if share is None:
-            vehicle[name], flight[name] = _ends(fitted.fit.model.axes[axis], name)
-        else:
-            flight[name] = interval(one, 0.0, _times(own, share))
-            vehicle[name] = interval(one, 0.0, _between(_times(own, share), own, others))
+        own = _smaller(then[name], _shrunk(one, fitted, axis))
+        flight[name] = interval(one, 0.0, own)
+        vehicle[name] = interval(one, 0.0, _between(own, then[name].flight, then[name].vehicle))
         values[name] = one.value
     status = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
     if read_backwards(vehicle, status):
@@ -388,21 +423,29 @@ def read_backwards(ends: Mapping[str, Interval], status: Mapping[str, str]) -> b
     return latest is not None and latest < 0 and status["input"] != "ok"
 
 
-def _shrunk(one: Estimand, estimate: Estimate, error: float, fitted: GroupEstimate) -> float | None:
-    """The standard error now as a share of what it was at the refit; None where curvature does not tell.
+def _shrunk(one: Estimand, fitted: GroupEstimate, axis: str) -> float:
+    """The standard error now as a share of what it was at the refit.
 
-    Data never take information away, and between refits it hardly grows faster than the excited time.
-    Where two parameters have nearly the same effect, curvature says otherwise from step to step: then the interval of
-    the refit stands.
+    Data never take information away, and the excited time brings it at most in proportion. Where several laws remain,
+    an interval is as wide as these are apart, which is no error of the data: it stands until the next refit.
     """
-    least = (fitted.seen / fitted.stepped) ** 0.5 if fitted.stepped > fitted.seen else 1.0
-    share = one.error(estimate.optimum) / error if error > 0 else 1.0
-    return min(max(share, least), 1.0) if least / CREDIBLE < share < CREDIBLE else None
+    error = fitted.half[axis][one.name].error
+    if len(fitted.fit.model.axes[axis].laws) > 1 or error <= 0 or fitted.stepped <= fitted.seen:
+        return 1.0
+    share = _curvature_error(one, fitted.estimates[axis]) / error
+    return min(max(share, (fitted.seen / fitted.stepped) ** 0.5), 1.0)
 
 
-def _times(half: Half, share: float) -> Half:
-    below, above = half
-    return (None if below is None else below * share, None if above is None else above * share)
+def _smaller(widths: Widths, share: float) -> Half:
+    """Half widths of the interval of the flight now: what is an error of the stamps stays."""
+    ends: list[float | None] = []
+    for half, beyond in zip(widths.flight, widths.beyond, strict=True):
+        if half is None:
+            ends.append(None)
+        else:
+            noise = max(max(half - beyond, 0.0) ** 2 - widths.stamps**2, 0.0) ** 0.5
+            ends.append(beyond + float(np.hypot(share * noise, widths.stamps)))
+    return ends[0], ends[1]
 
 
 def _between(now: Half, own: Half, vehicle: Half) -> Half:
