@@ -13,11 +13,13 @@ from rotorfit.app.workflows import load_flight
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.laws import STRUCTURES
 from rotorfit.core.model import COEFFICIENTS, Axis
 from rotorfit.core.results import Fit
 from rotorfit.dynamics.other_limits import scaled
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.judgement.cross_check import with_instruments
+from rotorfit.estimation.judgement.judge import _within
 from rotorfit.estimation.judgement.refutation import Homogeneity, cuts, homogeneity
 from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
 from rotorfit.estimation.likelihood.estimand import estimands
@@ -59,6 +61,15 @@ def test_the_vehicles_interval_has_nothing_that_the_parameter_cannot_be() -> Non
     z = fit([flight], axes=("z",), structure="quadratic_drag").model.axes["z"]
 
     assert z.ci95["drag_share"] == z.ci95_flight["drag_share"] == (None, 1.0)
+
+
+def test_an_end_that_the_vehicles_spread_moves_out_of_the_range_is_open() -> None:
+    lag, zero = STRUCTURES["second_order_zero"].extras
+
+    assert _within((-0.04, 0.77), zero) == (None, 0.77)
+    assert _within((0.1, 2.5), zero) == (0.1, None)
+    assert _within((0.001, 0.4), lag) == (None, 0.4)
+    assert _within((0.02, 0.4), lag) == (0.02, 0.4)
 
 
 def test_a_vehicle_that_obeys_the_law_has_an_interval_hardly_wider_than_its_flight() -> None:

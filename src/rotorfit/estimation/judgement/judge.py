@@ -203,7 +203,7 @@ def _axis(axis: Axis, found: Mapping[str, Judged], evidence: tuple[Evidence, ...
     ends |= {
         extra.name: _within(ends[extra.name], extra)
         for extra in structure_named(axis.structure).extras
-        if extra.closed and extra.name in ends
+        if extra.name in ends
     }
     flight = {name: found[name].flight if name in found else ends for name, ends in axis.ci95.items()}
     values = {name: getattr(axis.predictor, name) for name in COEFFICIENTS} | dict(axis.predictor.extra)
@@ -230,9 +230,14 @@ def _axis(axis: Axis, found: Mapping[str, Judged], evidence: tuple[Evidence, ...
 
 
 def _within(ends: Interval, extra: Extra) -> Interval:
-    """An interval without what its parameter cannot be; an open end stays open."""
+    """An interval without what its parameter cannot be; an end that is cut off is open, where it is no value itself."""
     low, high = ends
-    return (None if low is None else max(low, extra.low), None if high is None else min(high, extra.high))
+    if extra.closed:
+        return (None if low is None else max(low, extra.low), None if high is None else min(high, extra.high))
+    return (
+        None if low is None or low < extra.low else low,
+        None if high is None or high > extra.high else high,
+    )
 
 
 def _statuses(axis: Axis, ends: Mapping[str, Interval], refuted: Sequence[str]) -> dict[str, str]:
