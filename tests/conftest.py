@@ -4,6 +4,10 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("rotorfit", deadline=None)  # a busy machine is no failure
+settings.load_profile("rotorfit")
 
 REAL_FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "data"
 

@@ -538,7 +538,7 @@ def sample(name: str) -> bytes:
         return WRITERS[name](Path(folder) / "bag", recording(60, 17)).read_bytes()
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.sampled_from(sorted(WRITERS)),
     st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=1, max_size=4)), min_size=1, max_size=6),

@@ -283,7 +283,7 @@ def test_a_second_definition_of_a_type_is_ignored_and_said(tmp_path: Path) -> No
     assert log.notes == ("later definitions of ATT differ: the first one is used",)
 
 
-@settings(max_examples=150, deadline=None, database=None, derandomize=True)
+@settings(max_examples=150, database=None, derandomize=True)
 @given(st.lists(st.tuples(st.integers(0, 3000), st.binary(max_size=12), st.integers(0, 40)), min_size=1, max_size=6))
 def test_mutated_logs_are_read_to_their_end(changes: list[tuple[int, bytes, int]]) -> None:
     content = bytearray(OLD + b"".join(flash_record(1, "Icc", t, 5, 6) for t in range(150)))

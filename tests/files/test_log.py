@@ -422,13 +422,13 @@ def survives(content: bytes) -> None:
 MAGICS = [b"", ROS1_HEAD, b"\x89MCAP0\r\n", b"SQLite format 3\0", b"(\xb5/\xfd", b"t,x\n1,2\n", sample("mat")[:128]]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.sampled_from(MAGICS), st.binary(max_size=400))
 def test_random_bytes_never_give_anything_but_a_log_or_a_log_error(magic: bytes, noise: bytes) -> None:
     survives(magic + noise)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     st.sampled_from([name for name in FILES if name != "parquet"]),
     st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=1, max_size=4)), min_size=1, max_size=8),

@@ -220,7 +220,7 @@ def test_a_survey_takes_stamps_for_microseconds_however_slow_a_topic_is(period: 
     assert table.rate.period == pytest.approx(period / 1e6)
 
 
-@settings(max_examples=150, deadline=None, database=None, derandomize=True)
+@settings(max_examples=150, database=None, derandomize=True)
 @given(st.lists(st.tuples(st.integers(0, 4000), st.binary(max_size=12), st.integers(0, 40)), min_size=1, max_size=6))
 def test_mutated_logs_are_read_or_refused_in_one_line(changes: list[tuple[int, bytes, int]]) -> None:
     content = bytearray(HEAD + ulog_record("S", ULOG_SYNC) + b"".join(STATES[:80]))

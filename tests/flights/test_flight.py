@@ -704,7 +704,7 @@ def damaged(table: dict, seed: int, shuffled: int, duplicated: int, holes: int) 
     return table
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     shuffled=st.sampled_from([0, 1, 20, 2000]),

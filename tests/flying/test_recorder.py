@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from test_sources import mcap_record, text
@@ -155,7 +155,6 @@ def test_what_is_written_is_on_the_disk_within_a_quarter_of_a_second(tmp_path: P
     recorder.close()
 
 
-@settings(deadline=None)
 @given(cut=st.floats(0, 1))
 def test_a_recording_cut_anywhere_is_read_up_to_there(tmp_path_factory: pytest.TempPathFactory, cut: float) -> None:
     folder = tmp_path_factory.getbasetemp()
