@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 @click.option(
     "-o", "output", type=file_at(), metavar="FILE", help="File to write; its name becomes that of the vehicle."
 )
-@click.option("--dt", type=float, metavar="S", help="Sample period, for --to c and --round-delay; default: 0.02.")
+@click.option(
+    "--dt", type=float, metavar="S", help="Sample period for --to c, --round-delay, 1e-4 to 10; default: 0.02."
+)
 @click.option("--predictor", is_flag=True, help="Also axes that are not identifiable, at the point that predicts best.")
 @click.option("--physical", is_flag=True, help="Commands in rad, m/s and rad/s instead of fractions of limits.")
 @click.option("--round-delay", is_flag=True, help="Round delays to whole samples of --dt; the file states by how much.")
@@ -94,7 +96,9 @@ def export(
     "--latency", type=float, default=0.015, metavar="S", help="Age of a pose when it is used; default: 0.015 s."
 )
 @click.option("--axes", metavar="x,y,z,yaw", callback=axes_of, help="The axes to tune; default: all.")
-@click.option("--peak", type=float, default=1.7, metavar="MS", help="Largest peak of the sensitivity; default: 1.7.")
+@click.option(
+    "--peak", type=float, default=1.7, metavar="RATIO", help="Largest peak of the sensitivity, 1.2 to 3; default: 1.7."
+)
 @click.option(
     "--seed",
     type=SEED,
