@@ -81,7 +81,7 @@ def check_distinct(flights: Sequence[Flight]) -> None:
 def landmarks(flight: Flight) -> tuple[tuple[float, ...], ...]:
     """Some poses of a flight, evenly over those that differ from the one before: time [s], x, y, z, yaw [m, rad]."""
     rows = _poses(flight)
-    moving = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0, axis=1)) + 1
+    moving = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0, axis=1) & np.all(np.isfinite(rows[1:]), axis=1)) + 1
     some = moving[np.linspace(0, moving.size - 1, min(LANDMARKS, moving.size)).astype(int)]
     return tuple(map(tuple, np.round(np.column_stack([flight.pose_time[some], rows[some]]), 6).tolist()))
 

@@ -24,9 +24,8 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate, coupled_recor
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, interval
-from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, extra_status
+from rotorfit.estimation.likelihood.extra_parameters import covariance_for, estimated_extras, extra_status
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
-from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.zero_command import commanded_parts
@@ -157,15 +156,12 @@ def _widths(found: Fit, axis: str) -> dict[str, Widths]:
 def _curvature_error(one: Estimand, estimate: Estimate) -> float:
     """Standard error on the scale of a quantity by curvature, for the further parameters of the law as they are.
 
-    Of a further parameter it is that for the coefficients as they are. Where two have nearly the same effect, as lag
-    and damping, or zero and delay, the inverse of the information jumps from step to step; this part of it does not.
+    Of a further parameter it is that for the coefficients as they are, see `covariance_for`.
     """
     optimum, k = estimate.optimum, estimate.place
     extras = [extra.name for extra in estimated_extras(optimum, k)]
     held = [name for name in (*COEFFICIENTS, *extras) if name != one.name] if one.name in extras else extras
-    free = optimum.free.copy()
-    free[[optimum.point.place(name, k) for name in held]] = False
-    C = inverted(optimum.score.information, free)[: one.slope.size, : one.slope.size]
+    C = covariance_for(optimum, k, held)[: one.slope.size, : one.slope.size]
     return float(np.sqrt(max(one.slope @ C @ one.slope, 0.0)))
 
 

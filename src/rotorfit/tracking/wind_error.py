@@ -19,9 +19,7 @@ from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.disturbance_state import disturbance_states
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.estimand import estimands
-from rotorfit.estimation.likelihood.extra_parameters import estimated_extras
-from rotorfit.estimation.likelihood.fisher_scoring import Optimum
-from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.extra_parameters import covariance_for, estimated_extras
 from rotorfit.estimation.likelihood.parameters import Point
 
 RATE, BACK = 30.0, 10.0
@@ -42,7 +40,8 @@ def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Ma
     weights = _response(tuple(optimum.point.levels[k, :4]), told["damping"].value)
     time = flight.pose_time[-1] - np.arange(weights.size)[::-1] / RATE
     late = told.get("delay_plus_lag", told.get("delay"))
-    C = _covariance(optimum, k)
+    # what data cannot tell of a lag or zero, damping or delay makes up for, and the wind stays
+    C = covariance_for(optimum, k, [extra.name for extra in estimated_extras(optimum, k)])
     by = {
         "input": -told["input"].value * weights @ _command(flight, axis, time - (late.value if late else 0.0)),
         "damping": told["damping"].value * weights @ _velocity(flight, axis, time),
@@ -56,17 +55,6 @@ def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Ma
     slope = np.sum([by[name] * widened.get(name, 1.0) * told[name].slope for name in by], axis=0)
     slope[_trim_at(optimum.point, k)] = (1 - weights.sum()) * max(widened.values(), default=1.0)
     return float(np.sqrt(max(slope @ C[: slope.size, : slope.size] @ slope, 0.0)))
-
-
-def _covariance(optimum: Optimum, k: int) -> Array:
-    """Covariance of the parameters, for the further ones of an axis as they are.
-
-    What data cannot tell of a lag or a zero, other coefficients make up for: delay or damping goes with it, and the
-    wind stays.
-    """
-    free = optimum.free.copy()
-    free[[optimum.point.place(extra.name, k) for extra in estimated_extras(optimum, k)]] = False
-    return inverted(optimum.score.information, free)
 
 
 def trim_error(estimate: Estimate) -> float:

@@ -1,6 +1,6 @@
 """Further parameters of a structure: values, errors, intervals, statuses."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +73,17 @@ def covariance_of(optimum: Optimum, ends: Mapping[int, Mapping[str, Interval]]) 
     if not known.any():
         return optimum.covariance
     return inverted(optimum.score.information + np.diag(known), optimum.free)
+
+
+def covariance_for(optimum: Optimum, k: int, names: Sequence[str]) -> Array:
+    """Covariance of the parameters for some of axis k as they are.
+
+    Where a lag or zero has nearly the effect of damping or delay, the covariance of all is arbitrarily large and jumps
+    from step to step; for the lag and zero as they are it is regular.
+    """
+    free = optimum.free.copy()
+    free[[optimum.point.place(name, k) for name in names]] = False
+    return inverted(optimum.score.information, free)
 
 
 def extra_intervals(optimum: Optimum, k: int, ends: Mapping[str, Interval]) -> dict[str, Interval]:
