@@ -310,6 +310,17 @@ def test_a_wrong_delay_is_seen_in_the_commands_that_the_innovations_follow() -> 
     assert "residuals_follow_command" not in {finding.code for finding in validate(model, [flight], (1.0,)).findings}
 
 
+def test_what_the_stamps_of_a_flight_leave_unknown_is_not_held_against_the_model() -> None:
+    model, flight = pair(1000)
+    point = model.axes["x"].predictor
+    assert point is not None
+    early = replace(model.axes["x"], predictor=replace(point, delay=point.delay - 0.03))
+    wrong = replace(model, axes={**model.axes, "x": early})
+    stamped, told = (residual_tests_of_flight(wrong, replace(flight, pose_lateness=late))["x"] for late in (0.0, 0.033))
+
+    assert (stamped.follows_command, told.follows_command) == (True, False)
+
+
 def test_axes_that_the_flight_does_not_command_are_not_tested() -> None:
     model, _ = pair(1000)
 

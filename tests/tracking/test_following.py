@@ -63,6 +63,37 @@ def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: GroupEstimate)
             assert far - near == pytest.approx(high - low, rel=0.25)
 
 
+@pytest.mark.parametrize(
+    ("unknown", "ends"),
+    [
+        ({"pose_lateness": 0.033}, (0.033, 0.0)),
+        ({"command_lateness": 0.04}, (0.0, 0.04)),
+        ({"shared_error": 0.03}, None),
+    ],
+)
+def test_what_stamps_leave_unknown_does_not_shrink_as_the_flight_goes_on(
+    early: GroupEstimate, unknown: dict[str, float], ends: tuple[float, float] | None
+) -> None:
+    flight = replace(known_flight(), **unknown)
+    late, known = refitted(until(flight, 18.0), ("z",), LAW, 18.0), early
+    for now in (21.0, 24.0, 27.0, 30.5):
+        late, known = (stepped(one, until(flight, now), now) for one in (late, known))
+    told, stamped = axis_report(late, "z"), axis_report(known, "z")
+
+    for name in ("delay", "total_lag"):
+        for wide, narrow in (
+            (told.ci95[name], stamped.ci95[name]),
+            (told.ci95_flight[name], stamped.ci95_flight[name]),
+        ):
+            assert None not in wide + narrow
+            below, above = narrow[0] - wide[0], wide[1] - narrow[1]  # type: ignore[operator]
+            if ends:
+                assert (below, above) == pytest.approx(ends, abs=2e-4)
+            else:
+                assert wide[1] - wide[0] > 0.06  # type: ignore[operator]
+    assert told.ci95["input"] == pytest.approx(stamped.ci95["input"])
+
+
 def test_a_segment_that_begins_is_seen_though_no_step_is_taken(early: GroupEstimate) -> None:
     """Else the information would be of another number of start velocities than there are."""
     flight = replace(until(known_flight(), 20.0), segments=(Segment(0.0, 18.0), Segment(18.5, 20.0)))

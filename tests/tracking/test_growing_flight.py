@@ -220,6 +220,25 @@ def test_commands_that_were_not_heard_are_not_guessed() -> None:
     assert flight.segments[1].start - flight.segments[0].end == pytest.approx(0.22, abs=0.05)
 
 
+def test_poses_repeated_in_faster_rows_may_be_a_row_late_here_and_beside_and_after_a_restart() -> None:
+    growing, beside, again = GrowingFlight(CARD), FlightSoFar(CARD), GrowingFlight(CARD)
+    latest: dict[str, Sample] = {}
+    frames = 0
+    for sample in flown()[:6000]:
+        if sample.stream == "pose":
+            frames += 1
+            if frames % 2 or "pose" not in latest:
+                latest["pose"] = sample
+            sample = replace(sample, values=latest["pose"].values)
+        growing.add(sample)
+    beside.take(growing.news())
+    again.recall(growing.memory())
+    flights = growing.flight(), beside.flight(), again.flight()
+
+    assert [flight and flight.pose_lateness for flight in flights] == [pytest.approx(1 / 120, rel=0.02)] * 3
+    assert grown(flown()[:6000])[0].pose_lateness == 0.0  # frames that are lost at random
+
+
 def test_what_a_link_does_not_know_of_its_stamps_goes_to_the_flight_here_and_beside() -> None:
     time = {"from": CARD.raw["command"]["time"], "error": 0.04}
     card = card_from_mapping({**CARD.raw, "command": {**CARD.raw["command"], "time": time}}, "stated")

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorfit.assessment.case import Case, paired_cases
 from rotorfit.assessment.frequency.comparison import response_test
-from rotorfit.assessment.innovations import parameter_covariance, residual_tests_of_flight, residuals
+from rotorfit.assessment.innovations import parameter_covariance, residual_tests_of_flight, residuals, was_fitted
 from rotorfit.assessment.rows import CoefficientRow, HorizonErrors, coefficient_rows, scores_of
 from rotorfit.assessment.validation import dynamics_from_model, paper_dynamics
 from rotorfit.assessment.whiteness import LEAST_BLOCKS, autocorrelation, cross_correlation
@@ -150,7 +150,7 @@ def correlograms(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, Cor
     white, free = {}, {}
     for axis, found in parts.items():
         if found:
-            covariance = parameter_covariance(model, axis)
+            covariance = parameter_covariance(model, axis, [f for f in flights if not was_fitted(model, f)])
             white[axis] = _pooled_lags([autocorrelation(p.time, p.innovation, LAGS) for p in found])
             free[axis] = _pooled_lags([cross_correlation(p, covariance) for p in found])
     return white, free

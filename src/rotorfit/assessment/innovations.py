@@ -10,9 +10,10 @@ from rotorfit.core import parallel
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world
 from rotorfit.core.laws import FIRST_ORDER_DELAY, LEVELS_OF, Structure, structure_named
-from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
+from rotorfit.core.model import COEFFICIENTS, NORMAL, Model, Predictor, predictor_of
 from rotorfit.core.residuals import Innovations, ResidualTests
 from rotorfit.estimation.clock_placement import answer_placed, delays, placed_by, with_own
+from rotorfit.estimation.clock_uncertainty import clock_half_width, lateness
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
@@ -79,7 +80,7 @@ def _tests_of_record(model: Model, flight: Flight, rec: Record) -> dict[str, Res
     for axis, each in _residuals_of(model, flight, rec, own).items():
         if axis not in flight.moved:
             continue
-        covariance = parameter_covariance(model, axis) * (not fitted)
+        covariance = parameter_covariance(model, axis, [flight]) * (not fitted)
         training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)
         share = flight.duration / training if training > 0 and not fitted else 0.0
         innovation = at_fitted.score.innovations[0][:, rec.axes.index(axis)]
@@ -88,10 +89,16 @@ def _tests_of_record(model: Model, flight: Flight, rec: Record) -> dict[str, Res
     return found
 
 
-def parameter_covariance(model: Model, axis: str) -> Array:
+def parameter_covariance(model: Model, axis: str, flights: Sequence[Flight] = ()) -> Array:
     """Covariance of input, log damping, delay and the n further parameters of an axis, in the estimator's coordinates.
 
-    Shape (3 + n, 3 + n); zero where the model has none.
+    Args:
+        model: As fitted.
+        axis: Its name.
+        flights: Others, which the model is to explain: what their stamps leave unknown is added to the delay's.
+
+    Returns:
+        Shape (3 + n, 3 + n); zero where the model has none.
     """
     point = predictor_of(model, axis)
     extras = _law(model.axes[axis].structure, point).extras
@@ -103,6 +110,10 @@ def parameter_covariance(model: Model, axis: str) -> Array:
     for i, at in told:
         for j, beside in told:
             out[i, j] = model.covariance[at, beside]
+    delay = COEFFICIENTS.index("delay")
+    if out[delay, delay]:  # a logger is late or early, never right in the mean: a third of the squares, not a twelfth
+        out[delay, delay] += (clock_half_width(flights, axis) / NORMAL) ** 2
+        out[delay, delay] += sum(end**2 for end in lateness(flights, axis)) / 3
     return out * np.outer(scale, scale)
 
 

@@ -14,6 +14,9 @@ from rotorfit.estimation.identifiability import WIDEST_DELAY
 
 _WITH_DELAY = ("total_lag", "delay_plus_lag")
 
+DELAYS = ("delay", *_WITH_DELAY)
+"""Names of what errors of the stamps are in."""
+
 Ends = tuple[float, float]
 """By how much a delay may be shorter, and longer [s]."""
 
@@ -159,10 +162,10 @@ def _widened(axis: Axis, half: float, beyond: Ends) -> Axis:
     center = axis.predictor.delay if axis.predictor else None
     if center is None or not (half or any(beyond)) or axis.ci95["delay"] == (None, None):
         return axis
-    low, high = ends = _wider(axis.ci95["delay"], _middle(axis.ci95["delay"], axis.delay, center), half, beyond)
+    low, high = ends = wider(axis.ci95["delay"], _middle(axis.ci95["delay"], axis.delay, center), half, beyond)
     own = dict(axis.ci95_flight)
     if own:
-        own["delay"] = _wider(own["delay"], _middle(own["delay"], None, center), half, beyond)
+        own["delay"] = wider(own["delay"], _middle(own["delay"], None, center), half, beyond)
     error = axis.stderr["delay"]
     wide = low is None or high is None or high - low >= WIDEST_DELAY
     lost = wide or axis.status["delay"] != "ok"
@@ -186,8 +189,8 @@ def _summed(error: float, half: float, beyond: Ends) -> float:
 
 
 def _combination(one: Combination, half: float, beyond: Ends) -> Combination:
-    own = one.ci95_flight and _wider(one.ci95_flight, _middle(one.ci95_flight, None, one.value), half, beyond)
-    return replace(one, ci95=_wider(one.ci95, one.value, half, beyond), ci95_flight=own)
+    own = one.ci95_flight and wider(one.ci95_flight, _middle(one.ci95_flight, None, one.value), half, beyond)
+    return replace(one, ci95=wider(one.ci95, one.value, half, beyond), ci95_flight=own)
 
 
 def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
@@ -201,11 +204,29 @@ def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
     return otherwise if low is None or high is None or low <= otherwise <= high else 0.5 * (low + high)
 
 
-def _wider(ends: Interval, center: float, half: float, beyond: Ends) -> Interval:
+def wider(ends: Interval, center: float, half: float, beyond: Ends) -> Interval:
     """An interval with an independent error of its centre added in quadrature to each side, and one to each end."""
+    if not half and not any(beyond):
+        return ends
     low, high = ends
     shorter, longer = beyond
     return (
         None if low is None else center - float(np.hypot(center - low, half)) - shorter,
         None if high is None else center + float(np.hypot(high - center, half)) + longer,
     )
+
+
+def narrower(ends: Interval, center: float, half: float, beyond: Ends) -> Interval:
+    """The interval that `wider` makes the given one of: what is left, and shrinks as the flight goes on."""
+    if not half and not any(beyond):
+        return ends
+    low, high = ends
+    shorter, longer = beyond
+    return (
+        None if low is None else center - _without(center - low - shorter, half),
+        None if high is None else center + _without(high - center - longer, half),
+    )
+
+
+def _without(distance: float, half: float) -> float:
+    return float(np.sqrt(max(distance**2 - half**2, 0.0))) if distance > 0 else distance

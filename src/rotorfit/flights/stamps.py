@@ -51,6 +51,16 @@ ROUND = (2**32 * 10**3, 2**32 * 10**6, 43_200 * 10**9, 86_400 * 10**9)
 OVER_THE_END = 10**9
 """Longest step over the end of such a clock [ns]."""
 
+REPEATING = 0.05
+"""Share of repeated poses from which on it is judged why they repeat."""
+
+STRETCH, EACH = 20, 10
+"""Rows in which repeats are counted: at least so many, and so many poses."""
+
+EVEN, SURE = 0.5, 2.5
+"""Share of the binomial variance below which repeats come evenly (of slower poses in recorded and simulated rows at
+most 0.3, of lost frames at least 0.9), and by how many standard errors of that variance."""
+
 _NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
@@ -296,6 +306,29 @@ def rounded_repeats(values: Array) -> bool:
     alone = sum(len(part) * float(np.prod(1 - np.mean(part, axis=0))) for part in parts)
     regular = max(np.max(np.bincount(new % n, minlength=n)) / new.size - 1 / n for n in range(2, 11))
     return bool(seen < (1 + FEW) * alone and regular < FEW)
+
+
+def rows_of_slower(stamps: Stamps, again: Mask) -> float:
+    """Period of rows that each hold the latest of slower poses [s]; 0 where poses have rows of their own.
+
+    Slower poses at a rate of their own repeat in every stretch of rows as often as in the next, frames that are lost
+    at random do not: their number in a stretch has the variance of a binomial distribution, or more.
+
+    Args:
+        stamps: Increasing, shape (N,) [ns].
+        again: Which rows repeat the pose before, shape (N,).
+    """
+    rate = 1 - float(np.mean(again)) if again.size else 0.0
+    if not REPEATING < 1 - rate < 1:
+        return 0.0
+    size = max(STRETCH, round(EACH / rate))
+    number = np.sum(again[: again.size // size * size].reshape(-1, size), axis=1)
+    number = number[number < size]  # a pose that stays for so long stands on the ground, or is lost
+    if number.size < 2:
+        return 0.0
+    share = float(np.mean(number)) / size
+    even = float(np.var(number)) < min(EVEN, 1 - SURE * np.sqrt(2 / number.size)) * size * share * (1 - share)
+    return float(np.median(np.diff(stamps))) / 1e9 if even else 0.0
 
 
 def held(clock: Stamps, values: Array, at: Stamps) -> Array:

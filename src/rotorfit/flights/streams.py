@@ -37,6 +37,7 @@ from rotorfit.flights.stamps import (
     increasing,
     median_period,
     rounded_repeats,
+    rows_of_slower,
     set_back,
     stamps_of,
     stray,
@@ -58,16 +59,6 @@ NEVER = np.int64(2**62)
 OTHER = 0.01
 """Share of the samples with a stamp of an earlier one that must differ from it: commands seldom change within a step of
 the clock, poses always do."""
-
-REPEATING = 0.05
-"""Share of repeated poses from which on it is judged why they repeat."""
-
-STRETCH, EACH = 20, 10
-"""Rows in which repeats are counted: at least so many, and so many poses."""
-
-EVEN, SURE = 0.5, 2.5
-"""Share of the binomial variance below which repeats come evenly (of slower poses in recorded and simulated rows at
-most 0.3, of lost frames at least 0.9), and by how many standard errors of that variance."""
 
 _STRETCHED = 1.15
 """Ratio of the longest to the shortest of the common lengths of a quaternion, above which it is none."""
@@ -152,7 +143,7 @@ def poses_of(log: Log, card: Card) -> Stream:
     stream = in_order(numbers(Stream("pose", stamps, values, np.full(len(stamps), NEVER), notes), log), log)
     seen = stream.values[:, own] if any(own) else stream.values  # values interpolated from other tables are never stale
     if not (coarse(seen) if card.velocity_only else rounded_repeats(seen)):  # else what is left would lead the motion
-        stream = replace(stream, repeating=_repeating(stream.stamps, seen))
+        stream = replace(stream, repeating=rows_of_slower(stream.stamps, ~fresh(seen)))
         stream = keep_samples(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
     if len(stream.stamps) < 2 or not (card.velocity_only or np.any(np.ptp(seen, axis=0))):
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
@@ -354,30 +345,6 @@ def _step(stamps: Stamps, values: Array) -> float:
     kept = np.flatnonzero(first)[np.cumsum(first)[rows] - 1]
     other = np.any(values[rows] != values[kept], axis=1)
     return float(np.median(np.diff(stamps[first]))) / 1e9 if np.mean(other) > OTHER else 0.0
-
-
-def _repeating(stamps: Stamps, values: Array) -> float:
-    """Period of rows that each hold the latest of slower poses [s]; 0 where poses have rows of their own.
-
-    Slower poses at a rate of their own repeat in every stretch of rows as often as in the next, frames that are lost
-    at random do not: their number in a stretch has the variance of a binomial distribution, or more.
-
-    Args:
-        stamps: Increasing, shape (N,) [ns].
-        values: Shape (N, K).
-    """
-    again = ~fresh(values)
-    rate = 1 - float(np.mean(again))
-    if not REPEATING < 1 - rate < 1:
-        return 0.0
-    size = max(STRETCH, round(EACH / rate))
-    number = np.sum(again[: again.size // size * size].reshape(-1, size), axis=1)
-    number = number[number < size]  # a pose that stays for so long stands on the ground, or is lost
-    if number.size < 2:
-        return 0.0
-    share = float(np.mean(number)) / size
-    even = float(np.var(number)) < min(EVEN, 1 - SURE * np.sqrt(2 / number.size)) * size * share * (1 - share)
-    return float(np.median(np.diff(stamps))) / 1e9 if even else 0.0
 
 
 def _sorted(stream: Stream) -> Stream:

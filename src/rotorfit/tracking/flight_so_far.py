@@ -113,6 +113,7 @@ class News:
         jumps: All times at which the pose jumped [s].
         counts: Code of `NOTES` to the number of samples or steps.
         shared_error: Half the 95 % interval of what the stamps may be off by [s].
+        pose_lateness: How long before its stamp a pose may have been measured [s].
     """
 
     commands: Array
@@ -123,6 +124,7 @@ class News:
     jumps: Sequence[float]
     counts: dict[str, int]
     shared_error: float
+    pose_lateness: float
 
 
 class FlightSoFar:
@@ -140,6 +142,7 @@ class FlightSoFar:
         jumps: Times at which the pose jumped as no vehicle can [s].
         counts: Code of `NOTES` to the number of samples or steps.
         shared_error: Half the 95 % interval of what the stamps may be off by [s].
+        pose_lateness: How long before its stamp a pose may have been measured [s].
     """
 
     def __init__(self, card: Card, path: str = UNRECORDED) -> None:
@@ -150,6 +153,7 @@ class FlightSoFar:
         self.jumps: Sequence[float] = ()
         self.counts: Counter[str] = Counter()
         self.shared_error = math.hypot(card.command_time.error, card.pose_time.error)
+        self.pose_lateness = 0.0
         self._sent = [-np.inf, -np.inf]
 
     def pose_error(self, error: float) -> None:
@@ -186,6 +190,7 @@ class FlightSoFar:
             segments=segments,
             notes=tuple(Note(code, NOTES[code], count) for code, count in self.counts.items()),
             shared_error=self.shared_error,
+            pose_lateness=self.pose_lateness,
         )
 
     def news(self) -> News:
@@ -194,7 +199,8 @@ class FlightSoFar:
         new = rows[0].since(self._sent[0]), rows[1].since(np.nextafter(self._sent[1], np.inf))
         oldest, newest = ([float(each.time[k]) if each.time.size else -np.inf for each in rows] for k in (0, -1))
         self._sent = newest
-        return News(*new, oldest, self.now, self.standing, self.jumps, dict(self.counts), self.shared_error)
+        known = dict(self.counts), self.shared_error, self.pose_lateness
+        return News(*new, oldest, self.now, self.standing, self.jumps, *known)
 
     def take(self, news: News) -> None:
         """Adds the news of another `FlightSoFar`, to become equal to it."""
@@ -208,6 +214,7 @@ class FlightSoFar:
             each.forget(np.nextafter(oldest, np.inf))
         self.now, self.standing, self.jumps = news.now, news.standing, news.jumps
         self.counts, self.shared_error = Counter(news.counts), news.shared_error
+        self.pose_lateness = news.pose_lateness
 
 
 def _believed(time: Array, hold: float) -> float:

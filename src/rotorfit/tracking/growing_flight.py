@@ -10,6 +10,7 @@ Samples are timed by their `sender_clock`. Where no arrival is known, a sample f
 next one: if that is no earlier, time has gone on; else it is left out.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, yaw_from_quaternion
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Alarm
+from rotorfit.flights.stamps import rows_of_slower
 from rotorfit.tracking.flight_so_far import HOLD, UNRECORDED, FlightSoFar, News, Rows
 from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.pose_watch import FROZEN, PoseWatch
@@ -34,6 +36,9 @@ REMEMBERED = 300.0
 
 AHEAD = 2.0
 """Time that a stamp lies ahead of all before it from which on the next one must confirm it [s]."""
+
+FRAMES = 5000
+"""Number of the last poses that tell whether rows hold the latest of slower ones."""
 
 LARGEST = 1e9
 """Bound on the values of a sound sample [m or unit of the command]."""
@@ -104,6 +109,7 @@ class GrowingFlight:
         self._alarms: list[Alarm] = []
         self._obeys, self._newest, self._resumed = True, -np.inf, False
         self._commands, self._poses = self._so_far.commands, self._so_far.poses
+        self._frames = deque[tuple[float, bool]](maxlen=FRAMES)  # time, and whether it repeated the pose before
 
     @property
     def rows(self) -> tuple[Rows, Rows]:
@@ -230,6 +236,10 @@ class GrowingFlight:
             before = self._poses.last[-1]
             pose[3] = before + (pose[3] - before + np.pi) % (2 * np.pi) - np.pi
         seen = self._watch.take(time, pose, self._rests(time, pose))
+        if seen.left_out in ("", "stale_poses"):
+            self._frames.append((time, bool(seen.left_out)))
+            while self._frames[0][0] < time - KEPT:
+                self._frames.popleft()
         if seen.alarm:
             self._alarms.append(seen.alarm)
             if seen.alarm.cause == "pose_jumped":
@@ -269,6 +279,9 @@ class GrowingFlight:
     def _up_to_date(self) -> FlightSoFar:
         """The rows, with the intervals in which nothing is learnt updated to now."""
         self._so_far.standing, self._so_far.jumps = self._ground.standing(self.now), tuple(self._watch.jumps)
+        time, again = np.array(self._frames).reshape(-1, 2).T
+        if late := rows_of_slower(np.round(1e9 * time).astype(np.int64), again > 0):
+            self._so_far.pose_lateness = late
         return self._so_far
 
     def memory(self) -> Mapping[str, Any]:
@@ -290,6 +303,7 @@ class GrowingFlight:
             "paths": np.array([part.path for part in self.parts], dtype=str),
             "recorded": np.array([(part.begin, part.end) for part in self.parts]).reshape(-1, 2),
             "codes": np.array(list(self._so_far.counts), dtype=str),
+            "pose_lateness": np.array(self._so_far.pose_lateness),
             "counts": np.array(list(self._so_far.counts.values()), dtype=np.int64),
         }
 
@@ -307,7 +321,7 @@ class GrowingFlight:
                 rows.append(t, row[:-1], row[-1])
         clocks = zip(_TIMED, memory["by_arrival"].tolist(), memory["shift"].tolist(), strict=True)
         self._clocks = {name: SenderClock(by_arrival, shift) for name, by_arrival, shift in clocks}
-        self._obeys = bool(memory["obeys"])
+        self._obeys, self._so_far.pose_lateness = bool(memory["obeys"]), float(memory["pose_lateness"])
         self._watch = PoseWatch(memory["jumps"].tolist())
         self._ground.recall(memory["standing"].tolist(), float(memory["ground"]), self._obeys)
         self._so_far.counts.update(dict(zip(memory["codes"].tolist(), memory["counts"].tolist(), strict=True)))

@@ -18,7 +18,7 @@ from rotorfit.core.laws import structure_named
 from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis, Interval, Model, unknown_axis
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES
-from rotorfit.estimation.clock_uncertainty import clock_half_width, lateness
+from rotorfit.estimation.clock_uncertainty import DELAYS, Ends, clock_half_width, lateness, narrower, wider
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, coupled_records
 from rotorfit.estimation.likelihood.blocks import Record, record
@@ -51,30 +51,23 @@ GROWN = 1.015
 LEVELS_EVERY = 5
 """Every how many steps the levels of the disturbance move too: they change slowly, and cost as much as the rest."""
 
-LATE = ("delay", "delay_plus_lag", "total_lag")
-"""Quantities that an error of the stamps is part of."""
-
 Half = tuple[float | None, float | None]
 """Half widths of an interval, below and above; None where it is open."""
 
 
 @dataclass(frozen=True)
 class Widths:
-    """Half widths of the intervals of a quantity at a refit, on its scale.
+    """Half widths of the intervals of a quantity at a refit, on its scale, without what stamps leave unknown.
 
     Attributes:
         flight: Of the interval of this flight.
         vehicle: Of the interval of the vehicle.
         error: Standard error by curvature, see `_curvature_error`.
-        stamps: The part that is an error of the stamps, which more data do not reduce [s].
-        beyond: By how much the stamps move the ends, below and above [s].
     """
 
     flight: Half
     vehicle: Half
     error: float
-    stamps: float = 0.0
-    beyond: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -140,16 +133,20 @@ def group_estimate(found: Fit, group: Sequence[str], seen: float) -> GroupEstima
     return GroupEstimate(tuple(group), found, seen, estimates, half, stepped=seen)
 
 
+def _of_stamps(found: Fit, axis: str) -> tuple[float, Ends]:
+    """What stamps leave unknown of the delay of an axis, however long the flight is, as `wider` takes it [s]."""
+    return clock_half_width(found.flights, axis), lateness(found.flights, axis)
+
+
 def _widths(found: Fit, axis: str) -> dict[str, Widths]:
     """Quantity to the half widths of its intervals."""
-    estimate, known = found.estimates[axis], found.model.axes[axis]
-    stamps, beyond = clock_half_width(found.flights, axis), lateness(found.flights, axis)
+    estimate, known, stamps = found.estimates[axis], found.model.axes[axis], _of_stamps(found, axis)
     out = {}
     for name, one in estimands(estimate.optimum, estimate.place).items():
         vehicle, flight = _ends(known, name)
-        error = _curvature_error(one, estimate)
-        late = (stamps, beyond) if name in LATE else ()
-        out[name] = Widths(half_widths(one, flight), half_widths(one, vehicle), error, *late)
+        if name in DELAYS:
+            vehicle, flight = (narrower(ends, one.value, *stamps) for ends in (vehicle, flight))
+        out[name] = Widths(half_widths(one, flight), half_widths(one, vehicle), _curvature_error(one, estimate))
     return out
 
 
@@ -382,16 +379,18 @@ def axis_report(fitted: GroupEstimate, axis: str) -> AxisReport:
     nothing = dict.fromkeys(QUANTITIES)
     if axis not in fitted.estimates:
         return AxisReport(nothing, {}, {})
-    estimate, then = fitted.estimates[axis], fitted.half[axis]
+    estimate, then, stamps = fitted.estimates[axis], fitted.half[axis], _of_stamps(fitted.fit, axis)
     flight: dict[str, Interval] = {}
     vehicle: dict[str, Interval] = {}
     values: dict[str, float | None] = dict(nothing)
     for name, one in estimands(estimate.optimum, estimate.place).items():
         if name not in QUANTITIES or name not in then:
             continue
-        own = _smaller(then[name], _shrunk(one, fitted, axis))
+        own = _times(then[name].flight, _shrunk(one, fitted, axis))
         flight[name] = interval(one, 0.0, own)
         vehicle[name] = interval(one, 0.0, _between(own, then[name].flight, then[name].vehicle))
+        if name in DELAYS:
+            flight[name], vehicle[name] = (wider(ends, one.value, *stamps) for ends in (flight[name], vehicle[name]))
         values[name] = one.value
     status = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
     if read_backwards(vehicle, status):
@@ -432,16 +431,9 @@ def _shrunk(one: Estimand, fitted: GroupEstimate, axis: str) -> float:
     return min(max(share, (fitted.seen / fitted.stepped) ** 0.5), 1.0)
 
 
-def _smaller(widths: Widths, share: float) -> Half:
-    """Half widths of the interval of the flight now: what is an error of the stamps stays."""
-    ends: list[float | None] = []
-    for half, beyond in zip(widths.flight, widths.beyond, strict=True):
-        if half is None:
-            ends.append(None)
-        else:
-            noise = max(max(half - beyond, 0.0) ** 2 - widths.stamps**2, 0.0) ** 0.5
-            ends.append(beyond + float(np.hypot(share * noise, widths.stamps)))
-    return ends[0], ends[1]
+def _times(half: Half, share: float) -> Half:
+    below, above = half
+    return (None if below is None else below * share, None if above is None else above * share)
 
 
 def _between(now: Half, own: Half, vehicle: Half) -> Half:
