@@ -199,8 +199,8 @@ class FlightSoFar:
         new = rows[0].since(self._sent[0]), rows[1].since(np.nextafter(self._sent[1], np.inf))
         oldest, newest = ([float(each.time[k]) if each.time.size else -np.inf for each in rows] for k in (0, -1))
         self._sent = newest
-        known = dict(self.counts), self.shared_error, self.pose_lateness
-        return News(*new, oldest, self.now, self.standing, self.jumps, *known)
+        counts = dict(self.counts)
+        return News(*new, oldest, self.now, self.standing, self.jumps, counts, self.shared_error, self.pose_lateness)
 
     def take(self, news: News) -> None:
         """Adds the news of another `FlightSoFar`, to become equal to it."""
