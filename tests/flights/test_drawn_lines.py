@@ -77,3 +77,4 @@ def test_what_is_not_drawn(time: Array) -> None:
         assert period(time, values) == 0.0
     assert period(time[:20], drawn(time[:20])) == 0.0
     assert period(time, np.zeros((time.size, 4))) == 0.0
+    assert period(time, 1e-300 * smooth(time)) == 0.0

@@ -45,6 +45,7 @@ def period_of_lines(stamps: Stamps, values: Array) -> float:
     steps = np.minimum(steps, 2 * np.median(steps))
     for clock in (time, np.arange(len(stamps), dtype=np.float64)):
         slope = np.diff(values, axis=0) / np.diff(clock)[:, None]
+        slope /= np.max(np.abs(slope), axis=0)  # squares of tiny ones would be 0
         slope /= np.sqrt(np.mean(slope**2, axis=0))
         size = np.maximum(np.linalg.norm(slope[1:], axis=1), np.linalg.norm(slope[:-1], axis=1))
         changing = size > 0
@@ -60,7 +61,7 @@ def period_of_lines(stamps: Stamps, values: Array) -> float:
             moves = _runs(changing).size
             drawn = float(np.sum(steps[changing])) - 2 * moves * float(np.median(steps))
             period = drawn / max(_corners(on_line) - moves, 1)
-            return period if period < LONGEST else 0.0
+            return period if 0 < period < LONGEST else 0.0
     return 0.0
 
 
