@@ -27,7 +27,7 @@ from rotorfit.assessment.validation import to_mapping
 from rotorfit.core.errors import ExportError, ModelError
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Model, Predictor, unknown_axis
+from rotorfit.core.model import Model, Predictor, unknown_axis, with_findings
 from rotorfit.core.results import AxisScore, FlightScores, Horizon, Validation
 from rotorfit.dynamics.trajectory import simulate
 from rotorfit.exports import export
@@ -271,6 +271,18 @@ def test_an_axis_that_the_data_cannot_tell_is_left_out_with_a_sentence_and_keeps
     assert said in " ".join(made.text.split())
     state = module.flow(module.start([0, 0, 1, 0], [0, 0, 0.3, 0]), [0, 0, 1, 0], 2.0)
     assert state[[2, 6]] == pytest.approx([1.6, 0.3])
+
+
+def test_errors_among_the_findings_are_told(model: Model) -> None:
+    wrong = Finding("zeros_between_commands", "error", "", "", "")
+    bad_z = Finding("sign_flipped", "error", "", "", "", "z")
+
+    made = export(with_findings(model, [wrong, bad_z, wrong, replace(bad_z, severity="warning")]), "numpy")
+
+    assert made.notes == (
+        "The finding zeros_between_commands is an error: do not use any axis before it is cured.",
+        "The finding sign_flipped is an error: do not use z before it is cured.",
+    )
 
 
 def test_it_is_exported_by_the_point_that_predicts_best_where_that_is_asked_for(model: Model) -> None:

@@ -191,6 +191,12 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
             notes.append(f"{one} is left out, too: {missing[one]}.")
     if not any(axis.predictor for axis in axes.values()):
         raise ExportError(f"nothing to export: {by_reason(missing)}; {_remedy(model)}")
+    errors = {(one.code, one.axis): None for one in model.findings if one.severity == "error"}
+    notes += [
+        f"The finding {code} is an error: do not use {axis or 'any axis'} before it is cured."
+        for code, axis in errors
+        if axis is None or axes[axis].predictor
+    ]
     if any(finding.code == "clock_includes_delay" for finding in model.findings):
         notes.append(
             f"The delays are not the vehicle's: two clocks recorded it, and commands were placed about {ANSWER:g} s "

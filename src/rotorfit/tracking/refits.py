@@ -7,6 +7,7 @@ intervals keep the shape that the refit gave them and shrink with the informatio
 of the batch.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -158,8 +159,7 @@ def _curvature_error(one: Estimand, estimate: Estimate) -> float:
     optimum, k = estimate.optimum, estimate.place
     extras = [extra.name for extra in estimated_extras(optimum, k)]
     held = [name for name in (*COEFFICIENTS, *extras) if name != one.name] if one.name in extras else extras
-    C = covariance_for(optimum, k, held)[: one.slope.size, : one.slope.size]
-    return float(np.sqrt(max(one.slope @ C @ one.slope, 0.0)))
+    return one.error(optimum, covariance_for(optimum, k, held))
 
 
 def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
@@ -428,7 +428,7 @@ def _shrunk(one: Estimand, fitted: GroupEstimate, axis: str) -> float:
     if len(fitted.fit.model.axes[axis].laws) > 1 or error <= 0 or fitted.stepped <= fitted.seen:
         return 1.0
     share = _curvature_error(one, fitted.estimates[axis]) / error
-    return min(max(share, (fitted.seen / fitted.stepped) ** 0.5), 1.0)
+    return min(max(share, math.sqrt(fitted.seen / fitted.stepped)), 1.0)
 
 
 def _times(half: Half, share: float) -> Half:

@@ -47,8 +47,7 @@ def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Ma
         "damping": told["damping"].value * weights @ _velocity(flight, axis, time),
     }
     if late:
-        at = late.slope.size
-        error = max(float(np.sqrt(max(late.slope @ C[:at, :at] @ late.slope, 0.0))), 1e-3)
+        error = max(late.error(optimum, C), 1e-3)
         sooner, later = (weights @ _command(flight, axis, time - late.value + off) for off in (error, -error))
         widened = {**widened, late.name: widened.get("delay", 1.0)}
         by[late.name] = told["input"].value * (sooner - later) / (2 * error)

@@ -30,10 +30,11 @@ class Estimand:
     logarithmic: bool
     slope: Array
 
-    def error(self, optimum: Optimum) -> float:
-        """Standard error on its scale, from the expected information."""
-        covariance = optimum.covariance[: self.slope.size, : self.slope.size]
-        return float(np.sqrt(max(float(self.slope @ covariance @ self.slope), 0.0)))
+    def error(self, optimum: Optimum, covariance: Array | None = None) -> float:
+        """Standard error on its scale, from the expected information, or from another covariance of the parameters."""
+        known = optimum.covariance if covariance is None else covariance
+        known = known[: self.slope.size, : self.slope.size]
+        return float(np.sqrt(max(float(self.slope @ known @ self.slope), 0.0)))
 
     def scaled(self) -> float:
         """The value on its scale."""
