@@ -72,7 +72,8 @@ def test_the_same_poses_in_another_file_with_fewer_digits_and_another_clock_are_
         flight(),
         sha256="1" * 64,
         pose_time=np.round(flight().pose_time, 3) + 5.0,
-        position=np.round(flight().position, 5),
+        position=np.round(flight().position, 3),
+        yaw=np.round(flight().yaw, 3),
     )
 
     assert was_fitted(model, rounded)
@@ -85,6 +86,8 @@ def test_hovers_at_one_place_in_steps_of_a_centimetre_are_not_taken_for_one_flig
 
     assert passes(coarse[0], landmarks(coarse[0]))
     assert not passes(coarse[1], landmarks(coarse[0]))
+    still = [replace(one, position=np.zeros_like(one.position)) for one in coarse]
+    assert not passes(still[0], landmarks(still[0]))
 
 
 def test_forty_flights_of_many_vehicles_are_all_different() -> None:

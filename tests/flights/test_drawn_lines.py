@@ -31,6 +31,16 @@ def test_commands_interpolated_onto_rows(time: Array) -> None:
     assert period(time, drawn(time).round(6)) == pytest.approx(0.05, rel=0.1)
 
 
+@pytest.mark.parametrize("every", [0.05, 0.1])
+def test_commands_interpolated_and_rounded_to_five_decimals(every: float) -> None:
+    rows, sent = np.arange(0.1, 60.0, 1 / 120), np.arange(0.0, 60.2, every)
+    values = np.stack([np.interp(rows, sent, one) for one in smooth(sent).T], axis=1)
+
+    assert period(rows.round(5), values.round(5)) == pytest.approx(every, rel=0.02)
+    assert period(rows.round(5), smooth(rows).round(5)) == 0.0
+    assert period(rows.round(5), smooth(0.2 * rows).round(5)) == 0.0
+
+
 def test_steps_that_became_ramps() -> None:
     sent = SENT + RNG.uniform(0, 0.002, SENT.size)
     level = RNG.integers(-1, 2, (70, 4))[sent.astype(int)] * 0.2

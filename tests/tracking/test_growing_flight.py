@@ -305,7 +305,9 @@ def test_it_goes_on_from_its_memory() -> None:
     for one in samples[:at]:
         first.add(one)
     second = GrowingFlight(CARD)
-    second.recall(first.memory())
+    memory = first.memory()
+    del memory["pose_lateness"]  # as version 0.1 wrote it at first
+    second.recall(memory)
     for one in samples[at:]:
         first.add(one)
         second.add(one)

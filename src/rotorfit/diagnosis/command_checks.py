@@ -53,6 +53,16 @@ BLANK_SHARE = 0.8
 BLANK_TIME = 0.5
 """Longest median time between such commands [s]; a pilot's pulses of one sample are rarer."""
 
+TOGETHER, CLOCKED = 20, 0.5
+"""Number of such commands whose common time is compared, and least share of such times that are the median to 1.5
+samples: a program sends by a clock, a pilot's taps wander."""
+
+EVEN, MOST = 0.2, 0.8
+"""How far the times between samples may be from their median, and share of them, in a log that is no log of changes."""
+
+REPEATED = 0.1
+"""Share of the zeros that follow a zero from which on it is no log of changes."""
+
 
 def command_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the commands of one flight."""
@@ -157,13 +167,19 @@ def _zeros_between(flight: Flight) -> Iterator[Finding]:
     """Zeros of all axes between commands that last for a single sample each, as of blank cells that were filled."""
     given = np.any(flight.command, axis=1)
     single = given & ~np.append(False, given[:-1]) & ~np.append(given[1:], False)
-    at = flight.command_time[single]
-    if at.size < BLANKS or at.size < BLANK_SHARE * given.sum() or np.median(np.diff(at)) > BLANK_TIME:
+    if single.sum() < max(BLANKS, BLANK_SHARE * given.sum()) or given.all():
+        return
+    at, steps = flight.command_time[single], np.diff(flight.command_time)
+    step, spans = float(np.median(steps)), at[TOGETHER:] - at[:-TOGETHER]
+    again = float(np.sum(~given[1:] & ~given[:-1]) / np.sum(~given))
+    sampled = again > REPEATED or np.mean(np.abs(steps - step) < EVEN * step) > MOST
+    clocked = np.mean(np.abs(spans - np.median(spans)) < 1.5 * step) > CLOCKED
+    if not sampled or not clocked or np.median(np.diff(at)) > BLANK_TIME:
         return
     yield Finding(
         "zeros_between_commands",
         "error",
-        f"{at.size} commands last for one sample each, and all axes are exactly 0 in between, in "
+        f"{single.sum()} commands last for one sample each, and all axes are exactly 0 in between, in "
         f"{100 * (1 - given.mean()):.0f} % of the samples: blank cells filled with 0?",
         f"input gains are too large by the share of the zeros, {given.size / given.sum():.2g} times if they were blank",
         "leave cells without a command blank, or repeat the last command there; do not fill them with 0",

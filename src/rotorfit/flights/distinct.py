@@ -18,11 +18,14 @@ CHANGES = 10
 LANDMARKS = 24
 """Number of poses by which a flight is recognised in another file."""
 
-NEAR = 1e-4
-"""Largest difference in each coordinate of a pose that was saved again with fewer digits [m, rad]."""
+NEAR = 6e-4
+"""Largest difference in each coordinate of a pose that was saved again with three decimals [m, rad]."""
 
-AT_ONCE = 0.1
+AT_ONCE = 0.02
 """Largest difference of the time between two landmarks [s]."""
+
+FEWEST, ALONG = 12, 2
+"""Least number of landmarks, and of coordinates in which they differ: two turns of one plan, in degrees, are alike."""
 
 SHARED = 0.75
 """Least share of the landmarks that a flight must pass, in their order of time, to be the same: in coarse steps two
@@ -88,6 +91,8 @@ def landmarks(flight: Flight) -> tuple[tuple[float, ...], ...]:
 
 def passes(flight: Flight, marks: Sequence[Sequence[float]]) -> bool:
     """Whether a flight passes most of the landmarks of another at the same intervals: then it is the same."""
+    if len(marks) < FEWEST or np.sum(np.ptp(np.array(marks)[:, 1:], axis=0) > NEAR) < ALONG:
+        return False
     rows, offsets = _poses(flight), Counter[int]()
     for time, *pose in marks:
         met = flight.pose_time[np.all(np.abs(rows - pose) < NEAR, axis=1)] - time

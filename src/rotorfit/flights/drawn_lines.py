@@ -24,6 +24,12 @@ FINE, EXACT = 100, 1e-9
 """How many of the smallest bends the median change must hold, and bends over values that are rounding: of coarse
 commands changes are often the same by chance."""
 
+DECIMALS = 8
+"""Decimals up to which a log counts as rounded."""
+
+SHARP = 5.0
+"""Bend over what rounding can do that most bends between lines exceed: else rounding alone bends a smooth command."""
+
 LONGEST = 1.0
 """Longest period that is taken for that of commands [s]."""
 
@@ -40,18 +46,20 @@ def period_of_lines(stamps: Stamps, values: Array) -> float:
     values = values[:, np.ptp(values, axis=0) > 0]
     if len(stamps) < FEWEST or not values.size or _coarse(values):
         return 0.0
-    time = (stamps - stamps[0]) / 1e9
+    time, grain = (stamps - stamps[0]) / 1e9, _grain(values)
     steps = (time[2:] - time[:-2]) / 2
     steps = np.minimum(steps, 2 * np.median(steps))
     for clock in (time, np.arange(len(stamps), dtype=np.float64)):
         slope = np.diff(values, axis=0) / np.diff(clock)[:, None]
-        slope /= np.max(np.abs(slope), axis=0)  # squares of tiny ones would be 0
-        slope /= np.sqrt(np.mean(slope**2, axis=0))
+        largest = np.max(np.abs(slope), axis=0)
+        scale = largest * np.sqrt(np.mean((slope / largest) ** 2, axis=0))  # squares of tiny ones would be 0
+        slope /= scale
         size = np.maximum(np.linalg.norm(slope[1:], axis=1), np.linalg.norm(slope[:-1], axis=1))
         changing = size > 0
-        bend = np.linalg.norm(np.diff(slope, axis=0), axis=1)[changing] / size[changing]
-        straight = _straight(bend)
-        if straight is None:
+        turn = np.linalg.norm(np.diff(slope, axis=0), axis=1)[changing]
+        rounding = np.linalg.norm(grain / scale) * (1 / np.diff(clock)[1:] + 1 / np.diff(clock)[:-1])[changing]
+        straight = _straight(np.maximum(turn - rounding, 0.0) / size[changing])
+        if straight is None or 2 * np.sum(turn[~straight] > SHARP * rounding[~straight]) < np.sum(~straight):
             continue
         begun = straight & ~np.append(False, straight[:-1])
         lines = np.round(slope[1:][changing][begun], 4)
@@ -63,6 +71,16 @@ def period_of_lines(stamps: Stamps, values: Array) -> float:
             period = drawn / max(_corners(on_line) - moves, 1)
             return period if 0 < period < LONGEST else 0.0
     return 0.0
+
+
+def _grain(values: Array) -> Array:
+    """Unit of the last decimal to which each column is rounded, shape (K,); 0 where it has more than `DECIMALS`."""
+    out = np.zeros(values.shape[1])
+    for k, column in enumerate(values.T):
+        off = EXACT * float(np.max(np.abs(column)))
+        known = (10.0**-d for d in range(DECIMALS + 1) if np.all(np.abs(column - np.round(column, d)) < off))
+        out[k] = next(known, 0.0)
+    return out
 
 
 def _coarse(values: Array) -> bool:

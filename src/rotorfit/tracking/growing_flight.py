@@ -321,7 +321,7 @@ class GrowingFlight:
                 rows.append(t, row[:-1], row[-1])
         clocks = zip(_TIMED, memory["by_arrival"].tolist(), memory["shift"].tolist(), strict=True)
         self._clocks = {name: SenderClock(by_arrival, shift) for name, by_arrival, shift in clocks}
-        self._obeys, self._so_far.pose_lateness = bool(memory["obeys"]), float(memory["pose_lateness"])
+        self._obeys, self._so_far.pose_lateness = bool(memory["obeys"]), float(memory.get("pose_lateness", 0.0))
         self._watch = PoseWatch(memory["jumps"].tolist())
         self._ground.recall(memory["standing"].tolist(), float(memory["ground"]), self._obeys)
         self._so_far.counts.update(dict(zip(memory["codes"].tolist(), memory["counts"].tolist(), strict=True)))
