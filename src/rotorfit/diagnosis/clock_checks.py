@@ -336,15 +336,15 @@ def _stale(flight: Flight) -> Iterator[Finding]:
 def _interpolated(flight: Flight) -> Finding:
     """Commands between which lines were drawn: the log changes before the command that the vehicle held."""
     lead, late = 1e3 * flight.command_lead, 1e3 * flight.command_lateness
-    sent = f", or, if the lines were sent as they stand, up to {late:.0f} ms too short" if late else ""
+    sent = f"up to {late:.0f} ms too short" if late else "right"
     reach = f"; their intervals reach {lead:.0f} ms lower{f' and {late:.0f} ms higher' if late else ''}"
     return Finding(
         "commands_interpolated",
         "info",
         f"commands lie on straight lines between instants about {2 * lead:.0f} ms apart: they were interpolated onto "
         "the rows",
-        f"if the vehicle held each command until the next, delays come out {lead:.0f} ms too long{sent}{reach}; gain "
-        "and damping keep their values",
+        f"if the vehicle held each command until the next, delays come out {lead:.0f} ms too long; if the lines were "
+        f"sent as they stand, {sent}{reach}; gain and damping keep their values",
         "log commands as they were sent, each with its stamp, and leave cells blank where none was",
     )
 

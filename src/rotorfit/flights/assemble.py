@@ -165,7 +165,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
     poses, velocities = poses_of(log, card), velocities_of(log, card)
-    lead = period_of_lines(commands.stamps, commands.values) / 2
+    lead = period_of_lines(commands.stamps, commands.values) / 2 if _on_rows_of_poses(log, card) else 0.0
     commands = with_judged_hold(log, card, commands, axes, poses)
     commands = without_low_pass(commands, axes, poses, card.command_frame == "world")
     commands = airborne(commands, poses, card)
@@ -235,24 +235,35 @@ def _error_notes(card: Card) -> Iterator[Note]:
             yield Note("stamp_error", f"{known}: the interval of every delay holds it", 1)
 
 
+def _rows_with(log: Log, card: Card) -> tuple[Mask, Mask] | None:
+    """Which rows of a table hold a command, and which a pose; None where the two have no rows in common."""
+    if log.file_of or card.command_time.source != card.pose_time.source:
+        return None
+    return (
+        sample_rows(log, card.command_time, card.command),
+        sample_rows(log, card.pose_time, card.pose),
+    )
+
+
+def _on_rows_of_poses(log: Log, card: Card) -> bool:
+    """Whether nearly every row with a pose holds a command, so that lines may have been drawn onto them."""
+    rows = _rows_with(log, card)
+    return rows is not None and bool(np.sum(rows[0] & rows[1]) >= SHARED * max(np.sum(rows[1]), 1))
+
+
 def _lateness(log: Log, card: Card) -> tuple[float, float]:
     """How long before its stamp a command may have been sent, and a pose measured [s]: the period of shared rows.
 
     Rows are shared where nearly each holds a command and a pose; 0 where they are not. Rows with a command that begin
     before the first pose are not those of the poses: each holds the latest one.
     """
-    if log.file_of or card.command_time.source != card.pose_time.source:
+    rows = _rows_with(log, card)
+    if rows is None or np.sum(rows[0] & rows[1]) < SHARED * np.sum(rows[0] | rows[1]):
         return 0.0, 0.0
-    stamps = stamps_of(log, card.command_time)
-    commands, poses = (
-        sample_rows(log, time, channels)
-        for time, channels in ((card.command_time, card.command), (card.pose_time, card.pose))
-    )
-    if np.sum(commands & poses) < SHARED * np.sum(commands | poses):
-        return 0.0, 0.0
+    commands, poses = rows
     alone = np.flatnonzero(commands & ~poses)
     looked_up = alone.size > 0 and alone[-1] < np.argmax(poses)
-    period = (median_period(np.unique(stamps[commands])) or 0) / 1e9
+    period = (median_period(np.unique(stamps_of(log, card.command_time)[commands])) or 0) / 1e9
     return period, period if looked_up else 0.0
 
 

@@ -24,14 +24,18 @@ FINE, EXACT = 100, 1e-9
 """How many of the smallest bends the median change must hold, and bends over values that are rounding: of coarse
 commands changes are often the same by chance."""
 
+REGULAR = 1.3
+"""How many times as long as the shortest lines the shortest quarter may be, besides a row: of commands sent by a clock
+they are of one length, but where two lie on one line."""
+
 DECIMALS = 8
 """Decimals up to which a log counts as rounded."""
 
 SHARP = 5.0
 """Bend over what rounding can do that most bends between lines exceed: else rounding alone bends a smooth command."""
 
-LONGEST = 1.0
-"""Longest period that is taken for that of commands [s]."""
+LONGEST = 0.25
+"""Longest period that is taken for that of commands [s]: a line of longer duration is a ramp of a planner."""
 
 
 def period_of_lines(stamps: Stamps, values: Array) -> float:
@@ -66,6 +70,8 @@ def period_of_lines(stamps: Stamps, values: Array) -> float:
         if len(np.unique(lines, axis=0)) >= VARIED * len(lines):
             on_line = ~changing
             on_line[changing] = straight
+            if not _regular(time[1:-1], on_line):
+                return 0.0
             moves = _runs(changing).size
             drawn = float(np.sum(steps[changing])) - 2 * moves * float(np.median(steps))
             period = drawn / max(_corners(on_line) - moves, 1)
@@ -101,6 +107,20 @@ def _straight(bend: Array) -> Mask | None:
         if count >= max(FEWEST, LEAST_SHARE * bend.size) and count >= PEAK * np.sum(bend < NEAR * most):
             return np.asarray(straight)
     return None
+
+
+def _regular(time: Array, on_line: Mask) -> bool:
+    """Whether the shorter lines are alike, as of commands sent by a clock; a planner's ramps are of all lengths.
+
+    Args:
+        time: Of the rows, shape (N,) [s].
+        on_line: Which lie on a line with their neighbours, shape (N,).
+    """
+    corners = time[~on_line & np.append(True, on_line[:-1])]
+    if corners.size < FEWEST:
+        return False
+    short, longer = np.quantile(np.diff(corners), [0.05, 0.25])
+    return bool(longer <= REGULAR * short + float(np.median(np.diff(time))))
 
 
 def _corners(straight: Mask) -> int:
