@@ -326,6 +326,16 @@ def test_commands_that_cannot_be_in_the_unit_that_their_meaning_implies(tmp_path
 # Poses
 
 
+def test_zeros_in_the_place_of_poses(tmp_path: Path) -> None:
+    words = Csv(flown(two_sines, 20.0)).write(tmp_path)
+    log = Path(words[0])
+    log.write_text(re.sub(r"^([\d.e-]+),,,,,", r"\1,0,0,0,0,", log.read_text(), flags=re.MULTILINE))
+
+    found = said("info", *words)["zeros_between_poses", None]
+    assert found["severity"] == "error"
+    assert "poses are exactly 0 in x, y and z" in found["evidence"]
+
+
 def test_pose_jumps(tmp_path: Path) -> None:
     log = Csv(flown())
     for start in (10.0, 20.0):

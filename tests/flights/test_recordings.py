@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from test_flight import card_with, commands, counts, error_of, flight_of, log_of, poses, rows
 
-from rotorfit.core.log import Table
+from rotorfit.core.card import Card
+from rotorfit.core.log import Log, Table
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.flights.assemble import flight_from_log
 
@@ -83,25 +84,37 @@ def test_commands_and_poses_with_clocks_of_their_own_in_one_table_are_cut_togeth
     np.testing.assert_array_equal(flight.command, flight_of(*long).command)
 
 
+def joined(*tables: dict) -> dict:
+    """Tables one below the other, blank where one lacks a column."""
+    names = dict.fromkeys(name for table in tables for name in table)
+    return {name: np.concatenate([t.get(name, np.full(t["t"].size, np.nan)) for t in tables]) for name in names}
+
+
+def in_one_table(columns: dict) -> tuple[Log, Card]:
+    raw = {
+        "command": {"time": "t", **{name[4:]: name for name in columns if name.startswith("cmd_")}},
+        "pose": {"time": "t", **{name: name for name in ("x", "y", "z", "yaw")}},
+    }
+    log = replace(log_of(commands(), poses()), tables={"flight": Table("flight", columns)})
+    return log, card_from_mapping(raw, "test")
+
+
 @pytest.mark.parametrize("commands_first", [True, False])
 def test_commands_and_poses_joined_end_to_end_are_sorted(commands_first: bool) -> None:
-    def blank(table: dict, size: int) -> dict:
-        return {name: np.full(size, np.nan) for name in table if name != "t"}
-
     cmd, pose = commands(start=100.0), poses(start=99.0)
-    with_cmd = {f"cmd_{name}": values for name, values in cmd.items() if name != "t"}
-    without = {f"cmd_{name}": values for name, values in blank(cmd, pose["t"].size).items()}
-    one, other = {"t": cmd["t"], **with_cmd, **blank(pose, cmd["t"].size)}, {**pose, **without}
-    columns = appended(one, other) if commands_first else appended(other, one)
-    raw = {
-        "command": {"time": "t", **{name: f"cmd_{name}" for name in cmd if name != "t"}},
-        "pose": {"time": "t", **{name: name for name in pose if name != "t"}},
-    }
-    log = replace(log_of(cmd, pose), tables={"flight": Table("flight", columns)})
+    sent = {name if name == "t" else f"cmd_{name}": values for name, values in cmd.items()}
 
-    flight = flight_from_log(log, card_from_mapping(raw, "test"))
+    flight = flight_from_log(*in_one_table(joined(sent, pose) if commands_first else joined(pose, sent)))
 
     assert counts(flight)["rows_sorted"] == cmd["t"].size + pose["t"].size
     assert "clock_restarts" not in counts(flight)
     np.testing.assert_array_equal(flight.position, flight_of(cmd, pose).position)
     np.testing.assert_array_equal(flight.command, flight_of(cmd, pose).command)
+
+
+def test_two_flights_joined_end_to_end_are_not_mixed() -> None:
+    cmd, pose = commands(), poses(start=0.0)
+    sent = {name if name == "t" else f"cmd_{name}": values for name, values in cmd.items()}
+
+    for tables in ((pose, sent, pose, sent), (pose, pose, sent, sent)):
+        assert "no command is complete" in error_of(*in_one_table(joined(*tables)))

@@ -176,12 +176,14 @@ def _zeros_between(flight: Flight) -> Iterator[Finding]:
     clocked = np.mean(np.abs(spans - np.median(spans)) < 1.5 * step) > CLOCKED
     if not sampled or not clocked or np.median(np.diff(at)) > BLANK_TIME:
         return
+    lasts = np.append(steps, step)
+    factor = float(np.sum(lasts) / np.sum(lasts[given]))
     yield Finding(
         "zeros_between_commands",
         "error",
         f"{single.sum()} commands last for one sample each, and all axes are exactly 0 in between, in "
         f"{100 * (1 - given.mean()):.0f} % of the samples: blank cells filled with 0?",
-        f"input gains are too large by the share of the zeros, {given.size / given.sum():.2g} times if they were blank",
+        f"input gains are too large by the share of time of the zeros, {factor:.2g} times if they were blank",
         "leave cells without a command blank, or repeat the last command there; do not fill them with 0",
     )
 

@@ -44,6 +44,13 @@ SMALLEST = 0.02
 """Largest extent in x, y and z [m] that no commanded flight stays within: a hover drifts more."""
 
 
+LOST, SPOILT = 0.01, 0.05
+"""Share of poses at the origin, between others, from which on it is told, and from which on nothing is left to fit."""
+
+AWAY = 0.1
+"""Distance of the poses around from the origin [m]: a vehicle that starts there may be exactly there."""
+
+
 def pose_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the poses of one flight."""
     flight, motion = recording.flight, recording.motion
@@ -52,6 +59,7 @@ def pose_findings(recording: Recording) -> Iterator[Finding]:
     yield from _leaps("position", flight.pose_time, flight.position, *LEAP_FLOORS[0], thawed)
     yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1], thawed)
     yield from _frozen(flight, frozen)
+    yield from _zeros_between(flight)
     yield from _unit_of_position(flight, motion)
     yield from _unit_of_one_axis(recording)
     yield from _unit_of_yaw(motion)
@@ -180,6 +188,27 @@ def _frozen(flight: Flight, frozen: Mapping[str, tuple[float, float]]) -> Iterat
             else f"fit without that stretch, --span {span}; look for {cause}",
             axis,
         )
+
+
+def _zeros_between(flight: Flight) -> Iterator[Finding]:
+    """Poses that are exactly 0 in x, y and z while the vehicle is elsewhere: filled blanks, or a lost vehicle."""
+    zero = np.all(flight.position == 0.0, axis=1)
+    known, at = np.flatnonzero(~zero), np.flatnonzero(zero)
+    if not known.size or not at.size:
+        return
+    nearest = flight.position[known[np.maximum(np.searchsorted(known, at) - 1, 0)]]
+    away = np.linalg.norm(nearest, axis=1)
+    count, share = int(np.sum(away > AWAY)), float(np.sum(away > AWAY)) / zero.size
+    if share < LOST:
+        return
+    yield Finding(
+        "zeros_between_poses",
+        "error" if share > SPOILT else "warning",
+        f"{count} of {zero.size} poses are exactly 0 in x, y and z, between others up to {away.max():.3g} m away: "
+        "blank cells filled with 0, or rows without the vehicle",
+        "they count as leaps to the origin and back, which no command caused: what is fitted to them means nothing",
+        "leave cells without a pose blank, and rows without the vehicle out; then read the log again",
+    )
 
 
 def _leaps(

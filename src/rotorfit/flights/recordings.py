@@ -3,7 +3,7 @@
 Their clocks start again, so that without a cut halves of two flights would become one.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -72,8 +72,7 @@ def _in_order(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
     table, clock = table_of(log, str(card.command_time.source))
     stamps = stamps_of(log, card.command_time)
     parts = _parts(stamps, restarts(stamps))
-    motion = {**card.velocity, **card.pose}
-    if len(parts) < 2 or not all(_are_blank(log, card.command, one) or _are_blank(log, motion, one) for one in parts):
+    if len(parts) < 2 or not _are_apart(log, card, stamps, parts):
         return log, ()
     order = np.argsort(stamps, kind="stable")
     columns = {name: _rows(column, order, len(stamps)) for name, column in table.columns.items()}
@@ -83,6 +82,20 @@ def _in_order(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
     )
     note = Note("rows_sorted", text, len(stamps))
     return replace(log, tables={**log.tables, table.name: replace(table, columns=columns)}), (note,)
+
+
+def _are_apart(log: Log, card: Card, stamps: Stamps, parts: Sequence[slice]) -> bool:
+    """Whether no part has both commands and poses, and those of one kind follow each other, as of one flight."""
+    ended = dict[bool, int]()
+    for part in parts:
+        commands = not _are_blank(log, card.command, part)
+        if commands and not _are_blank(log, {**card.velocity, **card.pose}, part):
+            return False
+        there = stamps[part][stamps[part] != MISSING_STAMP]
+        if there.size and there.min() < ended.get(commands, there.min()):
+            return False
+        ended[commands] = int(there.max(initial=0))
+    return True
 
 
 def _are_blank(log: Log, channels: Mapping[str, Channel], part: slice) -> bool:
