@@ -155,3 +155,11 @@ def test_a_model_of_fewer_axes_says_what_it_replaces(tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert run.stderr == f"Note: the earlier whole.json, which knew x, y, yaw, too, is kept as {whole}~.\n"
     assert load(tmp_path / "whole.json~").axes["x"].predictor
+
+
+def test_a_pipe_without_a_name_is_written_directly() -> None:
+    reading, writing = os.pipe()
+    assert write_whole(f"/dev/fd/{writing}", "all of it") is None
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        assert pipe.read() == "all of it"

@@ -432,7 +432,7 @@ def check_destination(path: Path, mark: bytes) -> None:
     """Refuses to overwrite anything but an earlier result of the same kind; a log is never overwritten.
 
     Args:
-        path: Path that will be written; a terminal or a pipe takes anything.
+        path: Path that will be written; a terminal, a pipe or an empty file takes anything.
         mark: Text in the first 4096 bytes of an earlier result, in lower case.
 
     Raises:
@@ -440,7 +440,7 @@ def check_destination(path: Path, mark: bytes) -> None:
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         return  # a terminal or a pipe, which would be read for ever
-    if path.is_dir() or (path.exists() and mark not in _head(path)):
+    if path.is_dir() or (path.exists() and path.stat().st_size and mark not in _head(path)):
         found = kind_of(path)
         told = KINDS[found].text if found else "no earlier result of this kind"
         raise LogError(f"{path}: exists and is {told}: not overwritten; choose another name")

@@ -166,6 +166,14 @@ def _alone_in_the_plane(known: Sequence[str], flights: Sequence[Flight]) -> Iter
             )
 
 
+def _turn(flight: Flight) -> float:
+    """Range of the heading within the segments of a flight [rad]."""
+    inside = np.zeros(flight.yaw.size, bool)
+    for part in flight.segments:
+        inside |= (flight.pose_time >= part.start) & (flight.pose_time <= part.end)
+    return float(np.ptp(flight.yaw[inside])) if inside.any() else 0.0
+
+
 def _delay_not_tested(flight: Flight) -> Finding:
     moves = [note.text for note in flight.notes if note.code == "clocks_placed"]
     stand = moves[-1] if moves else "its commands stand where they are answered as the model says"

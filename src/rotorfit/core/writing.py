@@ -27,8 +27,8 @@ def write_whole(path: str | Path, content: str | bytes, keep: bool = True) -> Pa
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
     place = Path(path).resolve()
     try:
-        if place.exists() and not place.is_file():
-            place.write_bytes(data)
+        if Path(path).exists() and not Path(path).is_file():  # unresolved: /dev/stdout leads to a name of no file
+            Path(path).write_bytes(data)
             return None
         return _replaced(place, Path(path), data, keep)
     except OSError as error:

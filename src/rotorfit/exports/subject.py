@@ -213,8 +213,12 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
 
 def _told(axis: Axis) -> str:
     """Which combinations the data tell of an axis whose coefficients they do not."""
-    parts = axis.combinations
-    names = [name for name in ("steady_gain", "total_lag") if name in parts and None not in parts[name].ci95]
+    known = {name: axis.combinations[name] for name in ("steady_gain", "total_lag") if name in axis.combinations}
+    names = [
+        name
+        for name, one in known.items()
+        if one.ci95[0] is not None and one.ci95[1] is not None and one.ci95[1] - one.ci95[0] < 2 * abs(one.value)
+    ]
     return f", but {listed([name.replace('_', ' ') for name in names])}" if names else ""
 
 

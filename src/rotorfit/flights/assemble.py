@@ -235,6 +235,11 @@ def _error_notes(card: Card) -> Iterator[Note]:
             yield Note("stamp_error", f"{known}: the interval of every delay holds it", 1)
 
 
+LEADING = 5
+"""Least number of rows with a command before the first pose from which on rows are those of the commands: single poses
+may be missing anywhere."""
+
+
 def _rows_with(log: Log, card: Card) -> tuple[Mask, Mask] | None:
     """Which rows of a table hold a command, and which a pose; None where the two have no rows in common."""
     if log.file_of or card.command_time.source != card.pose_time.source:
@@ -262,7 +267,7 @@ def _lateness(log: Log, card: Card) -> tuple[float, float]:
         return 0.0, 0.0
     commands, poses = rows
     alone = np.flatnonzero(commands & ~poses)
-    looked_up = alone.size > 0 and alone[-1] < np.argmax(poses)
+    looked_up = alone.size >= LEADING and alone[-1] < np.argmax(poses)
     period = (median_period(np.unique(stamps_of(log, card.command_time)[commands])) or 0) / 1e9
     return period, period if looked_up else 0.0
 
