@@ -235,8 +235,8 @@ def _error_notes(card: Card) -> Iterator[Note]:
             yield Note("stamp_error", f"{known}: the interval of every delay holds it", 1)
 
 
-LEADING = 5
-"""Least number of rows with a command before the first pose from which on rows are those of the commands: single poses
+LEADING = 2
+"""Least number of rows with a command before the first pose from which on rows are those of the commands: a single pose
 may be missing anywhere."""
 
 
