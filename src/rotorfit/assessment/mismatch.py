@@ -61,7 +61,7 @@ def _ratios(model: Model, flight: Flight) -> Iterator[Finding]:
             for one in (motion.velocity[:, AXES.index(axis)], _response(model, flight, axis, motion.time))
         )
         along, size = float(seen @ expected), float(expected @ expected)
-        if size == 0 or along**2 < EXPLAINED * size * float(seen @ seen):
+        if size == 0 or along**2 <= EXPLAINED * size * float(seen @ seen):  # equal where a coordinate stands still
             continue
         ratio, explained = along / size, along**2 / (size * float(seen @ seen))
         backwards = ratio < -BACKWARDS and explained > MOSTLY
