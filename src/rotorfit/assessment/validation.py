@@ -149,10 +149,8 @@ def validate(
 def _alone_in_the_plane(known: Sequence[str], flights: Sequence[Flight]) -> Iterator[Finding]:
     """A finding on x or y where the heading turns while the other one, which the model does not know, is commanded."""
     for axis, other in (("x", "y"), ("y", "x")):
-        turns = [
-            float(np.ptp(flight.yaw)) for flight in flights if all(commands_axis(flight, one) for one in (axis, other))
-        ]
-        turned = max(turns, default=0.0)
+        both = [flight for flight in flights if commands_axis(flight, axis) and commands_axis(flight, other)]
+        turned = max(map(_turn, both), default=0.0)
         if axis in known and other not in known and turned > 2 * HELD_HEADING:
             yield Finding(
                 "other_axis_unknown",
