@@ -253,7 +253,7 @@ def _rows_with(log: Log, card: Card) -> tuple[Mask, Mask] | None:
 def _on_rows_of_poses(log: Log, card: Card) -> bool:
     """Whether nearly every row with a pose holds a command, so that lines may have been drawn onto them."""
     rows = _rows_with(log, card)
-    return rows is not None and bool(np.sum(rows[0] & rows[1]) >= SHARED * max(np.sum(rows[1]), 1))
+    return rows is not None and bool(np.any(rows[1]) and np.mean(rows[0][rows[1]]) >= SHARED)
 
 
 def _lateness(log: Log, card: Card) -> tuple[float, float]:
