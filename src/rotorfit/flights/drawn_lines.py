@@ -24,9 +24,9 @@ FINE, EXACT = 100, 1e-9
 """How many of the smallest bends the median change must hold, and bends over values that are rounding: of coarse
 commands changes are often the same by chance."""
 
-REGULAR = 1.3
+REGULAR = 1.6
 """How many times as long as the shortest lines the shortest quarter may be, besides a row: of commands sent by a clock
-they are of one length, but where two lie on one line."""
+they are of one length, but where two lie on one line, or no row between two bends is on either."""
 
 DECIMALS = 8
 """Decimals up to which a log counts as rounded."""
