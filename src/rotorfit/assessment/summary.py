@@ -82,13 +82,13 @@ def _partly_known(axis: str, known: Axis, usable: bool) -> str:
     combined = [
         f"{name.replace('_', ' ')} {_range(part)}"
         for name, part in known.combinations.items()
-        if usable and _told(name, part)
+        if usable and is_told(name, part)
     ]
     instead = f", but {listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
     return f"{head}{listed(lost)} cannot be identified from these data{instead}."
 
 
-def _told(name: str, part: Combination) -> bool:
+def is_told(name: str, part: Combination) -> bool:
     """Whether the interval is closed and narrow: of a time, less than twice its value; else as that of a gain."""
     low, high = part.ci95
     if low is None or high is None:

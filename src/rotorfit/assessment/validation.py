@@ -33,7 +33,7 @@ from rotorfit.dynamics.protocol import (
     predictions,
     scores_of,
 )
-from rotorfit.estimation.grouping import commands_axis, without_held_axes
+from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.estimation.likelihood.blocks import HELD_HEADING
 from rotorfit.flights.distinct import check_distinct, check_flights
 
@@ -149,8 +149,7 @@ def validate(
 def _alone_in_the_plane(known: Sequence[str], flights: Sequence[Flight]) -> Iterator[Finding]:
     """A finding on x or y where the heading turns while the other one, which the model does not know, is commanded."""
     for axis, other in (("x", "y"), ("y", "x")):
-        both = [flight for flight in flights if commands_axis(flight, axis) and commands_axis(flight, other)]
-        turned = max(map(_turn, both), default=0.0)
+        turned = max((_turn(flight) for flight in flights if {axis, other} <= set(flight.moved)), default=0.0)
         if axis in known and other not in known and turned > 2 * HELD_HEADING:
             yield Finding(
                 "other_axis_unknown",

@@ -91,15 +91,9 @@ def _input(axis: Axis) -> Figure | None:
 def _steady(axis: Axis) -> Figure | None:
     """The steady gain; the bare ratio for the paper's method, which gives no interval for it."""
     known = _combination(axis, "steady_gain")
-    if (
-        known is None
-        and axis.structure == STRUCTURE
-        and axis.input is not None
-        and axis.damping is not None
-        and axis.damping > 0
-    ):
-        return Figure(axis.input / axis.damping)
-    return known
+    if known or axis.structure != STRUCTURE or axis.input is None or axis.damping is None or axis.damping <= 0:
+        return known
+    return Figure(axis.input / axis.damping)
 
 
 def _combination(axis: Axis, name: str) -> Figure | None:

@@ -25,12 +25,12 @@ def write_whole(path: str | Path, content: str | bytes, keep: bool = True) -> Pa
         OSError: It cannot be written; the error names the file, and the earlier content is unchanged.
     """
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
-    place = Path(path).resolve()
+    named = Path(path)
     try:
-        if Path(path).exists() and not Path(path).is_file():  # unresolved: /dev/stdout leads to a name of no file
-            Path(path).write_bytes(data)
+        if named.exists() and not named.is_file():  # unresolved: /dev/stdout leads to a name of no file
+            named.write_bytes(data)
             return None
-        return _replaced(place, Path(path), data, keep)
+        return _replaced(named.resolve(), named, data, keep)
     except OSError as error:
         raise type(error)(error.errno, error.strerror, str(path)) from None
 

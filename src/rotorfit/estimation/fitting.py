@@ -261,13 +261,8 @@ def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Foun
         paper=tuple(float(g) if np.isfinite(g) else None for g in paper.gamma),
         paper_noise=_paper_noise(flights, tuple(found.axes), paper),
         findings=(),
-        flights=tuple(Source(f.path, f.sha256, f.span, f.notes, _commanded(f), landmarks(f)) for f in flights),
+        flights=tuple(Source(f.path, f.sha256, f.span, f.notes, f.moved, landmarks(f)) for f in flights),
     )
-
-
-def _commanded(flight: Flight) -> tuple[str, ...]:
-    """The axes that a flight commands."""
-    return tuple(axis for axis in AXES if commands_axis(flight, axis))
 
 
 def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) -> None:

@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass, replace
 
+from rotorfit.assessment.summary import is_told
 from rotorfit.core.errors import ExportError
 from rotorfit.core.flight_data import ANSWER
 from rotorfit.core.frames import AXES
@@ -213,12 +214,8 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
 
 def _told(axis: Axis) -> str:
     """Which combinations the data tell of an axis whose coefficients they do not."""
-    known = {name: axis.combinations[name] for name in ("steady_gain", "total_lag") if name in axis.combinations}
-    names = [
-        name
-        for name, one in known.items()
-        if one.ci95[0] is not None and one.ci95[1] is not None and one.ci95[1] - one.ci95[0] < 2 * abs(one.value)
-    ]
+    parts = axis.combinations
+    names = [name for name in ("steady_gain", "total_lag") if name in parts and is_told(name, parts[name])]
     return f", but {listed([name.replace('_', ' ') for name in names])}" if names else ""
 
 

@@ -125,6 +125,10 @@ SHARED = 0.9
 """Least share of rows that hold both a command and a pose where rows are shared: the first ones may lack what had not
 come yet, and cameras lose the vehicle."""
 
+LEADING = 2
+"""Least number of rows with a command before the first pose from which on rows are those of the commands: a single pose
+may be missing anywhere."""
+
 _TURN = np.radians(0.5)
 
 ACTS_AFTER = 0.15
@@ -233,11 +237,6 @@ def _error_notes(card: Card) -> Iterator[Note]:
         if time.error:
             known = f"stamps of the {what} are known to +-{1e3 * time.error:.3g} ms (95 %), by the card"
             yield Note("stamp_error", f"{known}: the interval of every delay holds it", 1)
-
-
-LEADING = 2
-"""Least number of rows with a command before the first pose from which on rows are those of the commands: a single pose
-may be missing anywhere."""
 
 
 def _rows_with(log: Log, card: Card) -> tuple[Mask, Mask] | None:

@@ -279,9 +279,10 @@ class GrowingFlight:
     def _up_to_date(self) -> FlightSoFar:
         """The rows, with the intervals in which nothing is learnt updated to now."""
         self._so_far.standing, self._so_far.jumps = self._ground.standing(self.now), tuple(self._watch.jumps)
-        time, again = np.array(self._frames).reshape(-1, 2).T
-        if late := rows_of_slower(np.round(1e9 * time).astype(np.int64), again > 0):
-            self._so_far.pose_lateness = late
+        if any(again for _, again in self._frames):
+            time, again = np.array(self._frames).T
+            if late := rows_of_slower(np.round(1e9 * time).astype(np.int64), again > 0):
+                self._so_far.pose_lateness = late
         return self._so_far
 
     def memory(self) -> Mapping[str, Any]:

@@ -24,8 +24,8 @@ from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, coupled_records
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.coefficients import statuses
-from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, interval
-from rotorfit.estimation.likelihood.extra_parameters import covariance_for, estimated_extras, extra_status
+from rotorfit.estimation.likelihood.estimand import estimands, half_widths, interval
+from rotorfit.estimation.likelihood.extra_parameters import conditional_covariance, estimated_extras, extra_status
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
@@ -63,7 +63,7 @@ class Widths:
     Attributes:
         flight: Of the interval of this flight.
         vehicle: Of the interval of the vehicle.
-        error: Standard error by curvature, see `_curvature_error`.
+        error: Standard error by curvature, see `_curvature_errors`.
     """
 
     flight: Half
@@ -142,24 +142,26 @@ def _of_stamps(found: Fit, axis: str) -> tuple[float, Ends]:
 def _widths(found: Fit, axis: str) -> dict[str, Widths]:
     """Quantity to the half widths of its intervals."""
     estimate, known, stamps = found.estimates[axis], found.model.axes[axis], _of_stamps(found, axis)
-    out = {}
+    errors, out = _curvature_errors(estimate), {}
     for name, one in estimands(estimate.optimum, estimate.place).items():
         vehicle, flight = _ends(known, name)
         if name in DELAYS:
             vehicle, flight = (narrower(ends, one.value, *stamps) for ends in (vehicle, flight))
-        out[name] = Widths(half_widths(one, flight), half_widths(one, vehicle), _curvature_error(one, estimate))
+        out[name] = Widths(half_widths(one, flight), half_widths(one, vehicle), errors[name])
     return out
 
 
-def _curvature_error(one: Estimand, estimate: Estimate) -> float:
-    """Standard error on the scale of a quantity by curvature, for the further parameters of the law as they are.
+def _curvature_errors(estimate: Estimate) -> dict[str, float]:
+    """Quantity to its standard error, on its scale, by curvature for the further parameters of the law as they are.
 
-    Of a further parameter it is that for the coefficients as they are, see `covariance_for`.
+    Of a further parameter it is that for the coefficients as they are, see `conditional_covariance`.
     """
     optimum, k = estimate.optimum, estimate.place
     extras = [extra.name for extra in estimated_extras(optimum, k)]
-    held = [name for name in (*COEFFICIENTS, *extras) if name != one.name] if one.name in extras else extras
-    return one.error(optimum, covariance_for(optimum, k, held))
+    names = (*COEFFICIENTS, *extras)
+    usual = conditional_covariance(optimum, k, extras)
+    of_extra = {one: conditional_covariance(optimum, k, [name for name in names if name != one]) for one in extras}
+    return {name: one.error(optimum, of_extra.get(name, usual)) for name, one in estimands(optimum, k).items()}
 
 
 def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
@@ -380,13 +382,14 @@ def axis_report(fitted: GroupEstimate, axis: str) -> AxisReport:
     if axis not in fitted.estimates:
         return AxisReport(nothing, {}, {})
     estimate, then, stamps = fitted.estimates[axis], fitted.half[axis], _of_stamps(fitted.fit, axis)
+    share = _shares(fitted, axis)
     flight: dict[str, Interval] = {}
     vehicle: dict[str, Interval] = {}
     values: dict[str, float | None] = dict(nothing)
     for name, one in estimands(estimate.optimum, estimate.place).items():
         if name not in QUANTITIES or name not in then:
             continue
-        own = _times(then[name].flight, _shrunk(one, fitted, axis))
+        own = _times(then[name].flight, share[name])
         flight[name] = interval(one, 0.0, own)
         vehicle[name] = interval(one, 0.0, _between(own, then[name].flight, then[name].vehicle))
         if name in DELAYS:
@@ -418,17 +421,17 @@ def read_backwards(ends: Mapping[str, Interval], status: Mapping[str, str]) -> b
     return latest is not None and latest < 0 and status["input"] != "ok"
 
 
-def _shrunk(one: Estimand, fitted: GroupEstimate, axis: str) -> float:
-    """The standard error now as a share of what it was at the refit.
+def _shares(fitted: GroupEstimate, axis: str) -> Mapping[str, float]:
+    """Quantity to its standard error now as a share of what it was at the refit.
 
     Data never take information away, and the excited time brings it at most in proportion. Where several laws remain,
     an interval is as wide as these are apart, which is no error of the data: it stands until the next refit.
     """
-    error = fitted.half[axis][one.name].error
-    if len(fitted.fit.model.axes[axis].laws) > 1 or error <= 0 or fitted.stepped <= fitted.seen:
-        return 1.0
-    share = _curvature_error(one, fitted.estimates[axis]) / error
-    return min(max(share, math.sqrt(fitted.seen / fitted.stepped)), 1.0)
+    then = fitted.half[axis]
+    if len(fitted.fit.model.axes[axis].laws) > 1 or fitted.stepped <= fitted.seen:
+        return dict.fromkeys(then, 1.0)
+    now, least = _curvature_errors(fitted.estimates[axis]), math.sqrt(fitted.seen / fitted.stepped)
+    return {name: min(max(now[name] / one.error, least), 1.0) if one.error > 0 else 1.0 for name, one in then.items()}
 
 
 def _times(half: Half, share: float) -> Half:

@@ -19,7 +19,7 @@ from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.disturbance_state import disturbance_states
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.estimand import estimands
-from rotorfit.estimation.likelihood.extra_parameters import covariance_for, estimated_extras
+from rotorfit.estimation.likelihood.extra_parameters import conditional_covariance, estimated_extras
 from rotorfit.estimation.likelihood.parameters import Point
 
 RATE, BACK = 30.0, 10.0
@@ -41,7 +41,7 @@ def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Ma
     time = flight.pose_time[-1] - np.arange(weights.size)[::-1] / RATE
     late = told.get("delay_plus_lag", told.get("delay"))
     # what data cannot tell of a lag or zero, damping or delay makes up for, and the wind stays
-    C = covariance_for(optimum, k, [extra.name for extra in estimated_extras(optimum, k)])
+    C = conditional_covariance(optimum, k, [extra.name for extra in estimated_extras(optimum, k)])
     by = {
         "input": -told["input"].value * weights @ _command(flight, axis, time - (late.value if late else 0.0)),
         "damping": told["damping"].value * weights @ _velocity(flight, axis, time),

@@ -13,7 +13,7 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.combinations import combinations
 from rotorfit.estimation.likelihood.extra_parameters import (
-    covariance_of,
+    bounded_covariance,
     estimated_extras,
     extra_intervals,
     further,
@@ -64,7 +64,7 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
             return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     ends: dict[str, Interval] = {"delay": (0.0, 0.0)} | {name: found.ci95 for name, found in profiles.items()}
     extra_ends = extra_intervals(optimum, k, ends)
-    covariance = covariance_of(optimum, {k: extra_ends})
+    covariance = bounded_covariance(optimum, {k: extra_ends})
     variance, more = np.diag(covariance), further(optimum, k, extra_ends, covariance)
     raw = dict(ends)
     ends["damping"] = _exponential(ends["damping"])
@@ -194,7 +194,7 @@ def covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Ma
         optimum, places = estimates[numbers[0]].optimum, [estimates[n].place for n in numbers]
         at = [optimum.point.place(name, k) for n, k in zip(numbers, places, strict=True) for name in names[n]]
         scale = np.concatenate([_natural(optimum, k) for k in places])
-        C = covariance_of(optimum, {k: results[group[n]].ci95 for n, k in zip(numbers, places, strict=True)})[
+        C = bounded_covariance(optimum, {k: results[group[n]].ci95 for n, k in zip(numbers, places, strict=True)})[
             np.ix_(at, at)
         ]
         out[tuple(f"{group[n]}.{name}" for n in numbers for name in names[n])] = C * np.outer(scale, scale)

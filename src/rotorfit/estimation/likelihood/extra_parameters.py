@@ -49,7 +49,7 @@ VAGUE = 2.0
 """How many times the error of its interval the curvature may give a further parameter before the interval counts."""
 
 
-def covariance_of(optimum: Optimum, ends: Mapping[int, Mapping[str, Interval]]) -> Array:
+def bounded_covariance(optimum: Optimum, ends: Mapping[int, Mapping[str, Interval]]) -> Array:
     """Covariance of the parameters, in which no further parameter is much less certain than its interval says.
 
     A vanishing zero has the effect of a shorter delay: to first order the data tell only their difference, and the
@@ -75,7 +75,7 @@ def covariance_of(optimum: Optimum, ends: Mapping[int, Mapping[str, Interval]]) 
     return inverted(optimum.score.information + np.diag(known), optimum.free)
 
 
-def covariance_for(optimum: Optimum, k: int, names: Sequence[str]) -> Array:
+def conditional_covariance(optimum: Optimum, k: int, names: Sequence[str]) -> Array:
     """Covariance of the parameters for some of axis k as they are.
 
     Where a lag or zero has nearly the effect of damping or delay, the covariance of all is arbitrarily large and jumps
@@ -108,7 +108,7 @@ def further(optimum: Optimum, k: int, ci95: Mapping[str, Interval], covariance: 
         optimum: Maximum under a structure with further parameters.
         k: Index of the axis.
         ci95: From `extra_intervals`.
-        covariance: From `covariance_of`.
+        covariance: From `bounded_covariance`.
     """
     values, variance = optimum.point.extra_values(k), np.diag(covariance)
     extras = structure_at(optimum, k).extras

@@ -29,8 +29,8 @@ from rotorfit.estimation.regression.problem import (
     Problem,
     Solution,
     all_columns,
+    bounded_covariance,
     coefficients,
-    covariance_of,
     problem_of,
     rung_of,
     unfit,
@@ -125,7 +125,7 @@ UNSETTLED = ("diverged", f"the instruments did not settle in {ROUNDS} rounds")
 def _spread(problem: Problem, at: Solution, source: Instrument, held: Sequence[int]) -> Sandwich | None:
     """Covariance of the free parameters; None where columns are dependent."""
     columns, instruments = all_columns(problem, at), _instruments(problem, at, source)
-    return covariance_of(problem, at, instruments, columns, _free(problem, held))
+    return bounded_covariance(problem, at, instruments, columns, _free(problem, held))
 
 
 def _free(problem: Problem, held: Sequence[int]) -> Mask:

@@ -19,7 +19,7 @@ from rotorfit.estimation.regression.problem import (
     Problem,
     Solution,
     all_columns,
-    covariance_of,
+    bounded_covariance,
     problem_of,
     rung_of,
     unfit,
@@ -96,7 +96,7 @@ def _covariance(problem: Problem, at: Solution) -> tuple[Array, float] | None:
     """
     A = len(at.gain)
     columns = [np.delete(x, np.s_[A : 2 * A], axis=-1) for x in all_columns(problem, at)]
-    found, spread = covariance_of(problem, at, columns, columns), delay_spread(problem, at)
+    found, spread = bounded_covariance(problem, at, columns, columns), delay_spread(problem, at)
     if found is None or spread is None:
         return None
     delays, follows = spread

@@ -151,7 +151,7 @@ def coefficients(problem: Problem, at: Solution, flight: int) -> Coefficients:
     return point
 
 
-def covariance_of(
+def bounded_covariance(
     problem: Problem, at: Solution, instruments: Sequence[Array], columns: Sequence[Array], free: Mask | None = None
 ) -> Sandwich | None:
     """Sandwich covariance of the root of sum Z'(target - model) = 0, over the parameters of the columns.
