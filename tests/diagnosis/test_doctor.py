@@ -350,6 +350,20 @@ def test_pose_jumps(tmp_path: Path) -> None:
     assert first == pytest.approx(10, abs=0.05)
 
 
+@pytest.mark.parametrize("every", [1, 4])  # 30 poses a second, too
+def test_a_heading_that_is_reset_jumps_and_one_that_turns_hard_does_not(tmp_path: Path, every: int) -> None:
+    log = Csv(flown(TURNING))
+    log.pose, log.pose_time = log.pose[::every], log.pose_time[::every]
+    assert not said("info", *log.write(tmp_path))
+    log.pose[log.pose_time > 20, 3] += np.radians(12)
+
+    found = said("info", *log.write(tmp_path))["pose_jumps", "yaw"]["evidence"]
+    count, size, first, back, _, stay = numbers(found)
+    assert (count, back, stay) == (1, 0, 1)
+    assert size == pytest.approx(12, abs=1.5)
+    assert first == pytest.approx(20, abs=0.05)
+
+
 @pytest.mark.parametrize(
     ("axis", "start", "end", "fitted", "remedy"),
     [

@@ -171,6 +171,19 @@ def jumped(samples: Sequence[Sample], at: float, by: Sequence[float]) -> list[Sa
     ]
 
 
+def reset(samples: Sequence[Sample], at: float, angle: float) -> list[Sample]:
+    """From an instant on the heading is another one [rad], as after the reset of an estimator."""
+    begin, c, s = samples[0].received + round(at * SECOND), np.cos(angle / 2), np.sin(angle / 2)
+    out = []
+    for one in samples:
+        if one.stream == "pose" and one.received >= begin:
+            w, x, y, z = one.values[3:]
+            turned = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
+            one = replace(one, values=(*one.values[:3], *(float(each) for each in turned)))
+        out.append(one)
+    return out
+
+
 def mixed(samples: Sequence[Sample], seed: int) -> list[Sample]:
     """A random mixture of the faults that are no alarm."""
     rng = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from streams import CARD, SECOND, flown, frozen, jumped, mixed
+from streams import CARD, SECOND, flown, frozen, jumped, mixed, reset
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Sample
@@ -88,6 +88,14 @@ def test_a_pose_that_jumps_is_an_alarm_at_once_and_cuts_the_flight() -> None:
     assert "1.0" in alarms[0].why
     assert any(abs(a.end - b.start) < 1e-6 and 19.99 < b.start < 20.1
                for a, b in zip(flight.segments, flight.segments[1:], strict=False))  # fmt: skip
+
+
+@pytest.mark.parametrize("degrees", [10.0, 15.0, -20.0])
+def test_a_heading_that_is_reset_is_an_alarm_and_no_motion(degrees: float) -> None:
+    _, alarms = grown(reset(flown(), 20.0, np.radians(degrees)))
+
+    assert [alarm.cause for alarm in alarms] == ["pose_jumped"]
+    assert 20.0 <= alarms[0].time < 20.1
 
 
 def test_a_single_wild_pose_is_left_out() -> None:

@@ -153,7 +153,7 @@ def _checks() -> None:
     from rotorfit.diagnosis.pose_checks import leaps
 
     flight = _flight()
-    leaps(flight.pose_time, flight.position, 0.1, 1.0)
+    leaps(flight.pose_time, flight.position, (0.1, 1.0), (0.1, 1.0))
     answers_of(flight)
 
 

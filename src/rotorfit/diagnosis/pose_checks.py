@@ -24,6 +24,13 @@ by which the neighbours are apart."""
 NEIGHBOURS = 9
 """Number of steps on either side whose median speed is the neighbouring motion."""
 
+NEAREST = 2
+"""Number of steps on either side between whose speeds that of a step lies, unless it jumps."""
+
+PEAKS = (0.02, 60.0), (0.08, 30.0)
+"""Deviation of a step from the speeds of the nearest steps that is no jump, for position [m, m/s^2] and yaw
+[rad, rad/s^2]: a floor, and what that acceleration gives within the step. The drag of its rotors alone turns a vehicle."""
+
 RETURN = 1.0
 """Time within which a jump that is undone has returned [s]."""
 
@@ -56,8 +63,8 @@ def pose_findings(recording: Recording) -> Iterator[Finding]:
     flight, motion = recording.flight, recording.motion
     frozen = dict(_frozen_axes(flight))
     thawed = [end for _, end in frozen.values()]
-    yield from _leaps("position", flight.pose_time, flight.position, *LEAP_FLOORS[0], thawed)
-    yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1], thawed)
+    yield from _leaps("position", flight.pose_time, flight.position, LEAP_FLOORS[0], PEAKS[0], thawed)
+    yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], LEAP_FLOORS[1], PEAKS[1], thawed)
     yield from _frozen(flight, frozen)
     yield from _zeros_between(flight)
     yield from _unit_of_position(flight, motion)
@@ -65,14 +72,14 @@ def pose_findings(recording: Recording) -> Iterator[Finding]:
     yield from _unit_of_yaw(motion)
 
 
-def leaps(time: Array, value: Array, floor: float, slope: float) -> tuple[Array, Array]:
-    """Steps that the neighbouring motion does not explain.
+def leaps(time: Array, value: Array, floor: tuple[float, float], peak: tuple[float, float]) -> tuple[Array, Array]:
+    """Steps that the neighbouring motion does not explain: far from its median, or less far and from all nearest steps.
 
     Args:
         time: Stamps, shape (N,) [s].
         value: Position or yaw, shape (N, K).
-        floor: Least size of a jump.
-        slope: Increase of that size per second of the step.
+        floor: Least size of a jump against the median motion, and its increase per second of the step.
+        peak: Least size of a jump against the nearest steps, and the acceleration that is no jump.
 
     Returns:
         When each jump ends, shape (J,) [s], and its deviation from the motion, shape (J, K).
@@ -80,13 +87,28 @@ def leaps(time: Array, value: Array, floor: float, slope: float) -> tuple[Array,
     if len(time) < 4 * NEIGHBOURS:
         return np.zeros(0), np.zeros((0, value.shape[1]))
     step = np.diff(time)
-    speed = np.diff(value, axis=0) / step[:, None]
+    by = np.diff(value, axis=0)
+    speed = by / step[:, None]
     padded = np.pad(speed, ((NEIGHBOURS, NEIGHBOURS), (0, 0)), mode="edge")
-    beyond = np.diff(value, axis=0) - step[:, None] * _running_median(padded, 2 * NEIGHBOURS + 1)
+    beyond = by - step[:, None] * _running_median(padded, 2 * NEIGHBOURS + 1)
     size = np.linalg.norm(beyond, axis=1)
-    sigma = 1.4826 * float(np.median(size))
-    leap: Mask = size > LEAP_SIGMAS * sigma + floor + slope * step
+    noise = LEAP_SIGMAS * 1.4826 * float(np.median(size))
+    leap: Mask = size > noise + floor[0] + floor[1] * step
+    nearest = np.linalg.norm(_beyond_nearest(by, speed, step), axis=1)
+    leap |= np.minimum(size, nearest) > noise + peak[0] + 0.5 * peak[1] * step**2
     return time[1:][leap], beyond[leap]
+
+
+def _beyond_nearest(by: Array, speed: Array, step: Array) -> Array:
+    """By how much each step leaves the range of the speeds of the nearest steps, shape (N, K).
+
+    A step whose stamps are too near to each other counts as one of usual length.
+    """
+    padded = np.pad(speed, ((NEAREST, NEAREST), (0, 0)), mode="edge")
+    near = [padded[i : i + len(speed)] for i in range(2 * NEAREST + 1) if i != NEAREST]
+    low, high = np.min(near, axis=0), np.max(near, axis=0)
+    short, long = step[:, None], np.maximum(step, np.median(step))[:, None]
+    return np.asarray(by - np.clip(by, np.minimum(low * short, low * long), np.maximum(high * short, high * long)))
 
 
 def _running_median(values: Array, width: int) -> Array:
@@ -212,9 +234,14 @@ def _zeros_between(flight: Flight) -> Iterator[Finding]:
 
 
 def _leaps(
-    what: str, time: Array, value: Array, floor: float, slope: float, thawed: Sequence[float]
+    what: str,
+    time: Array,
+    value: Array,
+    floor: tuple[float, float],
+    peak: tuple[float, float],
+    thawed: Sequence[float],
 ) -> Iterator[Finding]:
-    when, by = leaps(time, value, floor, slope)
+    when, by = leaps(time, value, floor, peak)
     kept = [one > 0 and time[max(one - 1, 0)] not in thawed for one in np.searchsorted(time, when)]
     when, by = when[kept], by[kept]  # a coordinate that was frozen catches up: told as such
     if not len(when):

@@ -12,13 +12,13 @@ import numpy as np
 from rotorfit.core.frames import Array
 from rotorfit.core.tracked import Alarm
 
-FASTEST = np.array([40.0, 40.0, 40.0, 20.0])
+FASTEST = np.array([40.0, 40.0, 40.0, 8.0])
 """Largest speed of a vehicle between two poses, x, y, z and yaw [m/s, rad/s]."""
 
-REACH = np.array([0.3, 0.3, 0.3, 0.1])
+REACH = np.array([0.3, 0.3, 0.3, 0.08])
 """Tolerance of every prediction [m, rad]: no sensor is that noisy."""
 
-SUDDEN = np.array([60.0, 60.0, 60.0, 60.0])
+SUDDEN = np.array([60.0, 60.0, 60.0, 30.0])
 """Largest acceleration of a vehicle [m/s^2, rad/s^2]: about the vertical only the drag of its rotors turns it."""
 
 NOISY = 12.0
@@ -93,7 +93,7 @@ class PoseWatch:
             self._waiting = []
             return self._repeated(time, stands)
         self._moved(time)
-        if self._explained(time, pose, self._past):
+        if self._explained(time, pose, self._past) and not self._nearer_to_waiting(time, pose):
             self._waiting = []
             self._learn(time, pose)
             return Seen(((time, pose),))
@@ -158,13 +158,25 @@ class PoseWatch:
         self._since, self._repeats, self.frozen = None, 0, False
 
     def _explained(self, time: float, pose: Array, past: list[tuple[float, Array]]) -> bool:
-        """Whether a vehicle can have reached a pose from the past ones."""
+        """Whether a vehicle can have reached a pose from the past ones; stamps may be wrong by a period."""
         (first, before), (last, here) = past[0], past[-1]
         since, known = time - last, last - first
+        long = max(since, self._period)
         if known < LEAST or since > PAST:  # there is no valid velocity
-            return bool(np.all(np.abs(pose - here) <= FASTEST * since + REACH))
+            return bool(np.all(np.abs(pose - here) <= FASTEST * long + REACH))
         off = np.abs(pose - here - (here - before) / known * since)
-        return bool(np.all(off <= REACH + SUDDEN * since * (since + known) + NOISY * self._usual))
+        return bool(np.all(off <= REACH + SUDDEN * long * (long + known) + NOISY * self._usual))
+
+    def _nearer_to_waiting(self, time: float, pose: Array) -> bool:
+        """Whether a pose continues from those that wait rather than from the past: the longer ago, the more it allows."""
+        if not self._waiting:
+            return False
+        (first, before), (last, here) = self._past[0], self._past[-1]
+        velocity = (here - before) / (last - first) if last - first >= LEAST else np.zeros(4)
+        ways = [
+            np.abs(pose - there - velocity * (time - at)) / REACH for at, there in ((last, here), self._waiting[-1])
+        ]
+        return bool(ways[1].max() < ways[0].max())
 
     def _learn(self, time: float, pose: Array) -> None:
         """Updates the usual deviation, the usual period, and the past poses."""
