@@ -29,7 +29,8 @@ NEAREST = 2
 
 PEAKS = (0.02, 60.0), (0.08, 30.0)
 """Deviation of a step from the speeds of the nearest steps that is no jump, for position [m, m/s^2] and yaw
-[rad, rad/s^2]: a floor, and what that acceleration gives within the step. The drag of its rotors alone turns a vehicle."""
+[rad, rad/s^2]: a floor, and what that acceleration gives within the step. Only the drag of its rotors turns a
+vehicle."""
 
 RETURN = 1.0
 """Time within which a jump that is undone has returned [s]."""

@@ -168,15 +168,16 @@ class PoseWatch:
         return bool(np.all(off <= REACH + SUDDEN * long * (long + known) + NOISY * self._usual))
 
     def _nearer_to_waiting(self, time: float, pose: Array) -> bool:
-        """Whether a pose continues from those that wait rather than from the past: the longer ago, the more it allows."""
+        """Whether a pose continues from those that wait rather than from the past, which allows more as it ages."""
         if not self._waiting:
             return False
         (first, before), (last, here) = self._past[0], self._past[-1]
         velocity = (here - before) / (last - first) if last - first >= LEAST else np.zeros(4)
-        ways = [
-            np.abs(pose - there - velocity * (time - at)) / REACH for at, there in ((last, here), self._waiting[-1])
-        ]
-        return bool(ways[1].max() < ways[0].max())
+        past, waiting = (
+            np.max(np.abs(pose - there - velocity * (time - at)) / REACH)
+            for at, there in ((last, here), self._waiting[-1])
+        )
+        return bool(waiting < past)
 
     def _learn(self, time: float, pose: Array) -> None:
         """Updates the usual deviation, the usual period, and the past poses."""
