@@ -8,7 +8,15 @@ import pytest
 from rotorfit.control.control_law import KINDS, AxisLaw, Kind, law_of_bandwidth, linear_system
 from rotorfit.control.controller import AxisControllers, ReferencePath, at_rest, commanded, observe
 from rotorfit.control.loop_vehicle import LaggedAxis, LoopVehicle
-from rotorfit.control.margins import closed_loop, law_response, margins, spectral_radius, vehicle_response
+from rotorfit.control.margins import (
+    closed_loop,
+    law_response,
+    margins,
+    open_loop,
+    spectral_radius,
+    vehicle_response,
+)
+from rotorfit.control.robustness import doubt, robustness
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import Predictor
 from rotorfit.dynamics.transfer_function import law_response as velocity_per_command
@@ -208,3 +216,18 @@ def test_a_margin_may_lie_at_the_nyquist_frequency() -> None:
     assert low == pytest.approx(0.58, rel=0.01)
     assert spectral_radius(law, vehicle._replace(gain=1.001 * low * vehicle.gain)) < 1
     assert spectral_radius(law, vehicle._replace(gain=0.999 * low * vehicle.gain)) > 1
+
+
+def test_a_slow_loop_has_the_margins_of_its_crossover() -> None:
+    """However far below the Nyquist frequency it lies."""
+    slower = VEHICLE._replace(delay=0.6)
+    law = law_of_bandwidth("predictor", VEHICLE._replace(delay=0.3), 0.1, PERIOD, LATENCY, 0.06)
+    w = np.geomspace(1e-3, 100.0, 20_000)
+    L = open_loop(law, slower)(w)
+    last = int(np.flatnonzero(np.abs(L) > 1)[-1])
+    phase = abs(float(np.angle(-L[last])))
+
+    found, drawn = margins(law, slower), robustness(law, doubt([slower], PERIOD, LATENCY, 0))
+    assert found.crossover == pytest.approx(w[last], rel=1e-3)
+    assert (found.phase, drawn.phase) == pytest.approx((phase, phase), rel=2e-3)
+    assert drawn.delay == pytest.approx(phase / w[last], rel=5e-3)

@@ -26,9 +26,12 @@ from rotorfit.control.control_law import AxisLaw, linear_system, whole_periods
 from rotorfit.control.loop_vehicle import LoopVehicle, vehicle_step
 from rotorfit.core.frames import Array
 
-SLOWEST, POINTS = 1e-3, 600
-"""Lowest frequency of the grid, as a share of the Nyquist frequency, and its size; crossings are refined by root
-finding."""
+SLOWEST, DENSITY = 0.01, 200
+"""Lowest frequency of the grid [rad/s], a tenth of the slowest bandwidth that is tuned for, and its number of points in
+a decade; crossings are refined by root finding."""
+
+STEP = 0.005
+"""Least step of the search for the delay margin [s]: commands that come faster do not make it finer."""
 
 LONGEST = 2.0
 """Largest delay margin that is searched for [s]."""
@@ -106,9 +109,10 @@ def open_loop(law: AxisLaw, vehicle: LoopVehicle) -> Callable[[Array], Array]:
     return lambda w: -law_response(law, w) * vehicle_response(vehicle, law.period, law.latency, w)
 
 
-def frequencies(period: float, points: int = POINTS) -> Array:
-    """A grid from `SLOWEST` up to the Nyquist frequency, shape (points,) [rad/s]."""
-    return np.pi / period * np.geomspace(SLOWEST, 1.0 - 1e-9, points)
+def frequencies(period: float, density: int = DENSITY) -> Array:
+    """A grid from `SLOWEST` up to the Nyquist frequency, shape (F,) [rad/s], with so many points in a decade."""
+    nyquist = np.pi / period
+    return np.geomspace(SLOWEST, nyquist * (1.0 - 1e-9), round(density * np.log10(nyquist / SLOWEST)))
 
 
 def margins(law: AxisLaw, vehicle: LoopVehicle) -> Margins:
@@ -116,38 +120,47 @@ def margins(law: AxisLaw, vehicle: LoopVehicle) -> Margins:
     L = open_loop(law, vehicle)
     w = frequencies(law.period)
     values = L(w)
-    unit = _roots(lambda x: float(np.log(np.abs(L(np.array(x))))), w, np.log(np.abs(values)))
+    unit = np.array(_roots(lambda x: float(np.log(np.abs(L(np.array(x))))), w, np.log(np.abs(values))))
     real = _roots(lambda x: float(L(np.array(x)).imag), w, values.imag)
     real = [*real, np.pi / law.period]  # at the Nyquist frequency the loop is real
     crossings = np.array([-L(np.array(x)).real for x in real] + [0.0, np.inf])
     factors = 1 / crossings[crossings > 0]
     if spectral_radius(law, vehicle) >= 1:
-        return Margins(False, (1.0, 1.0), 0.0, 0.0, np.inf, max(unit, default=0.0))
-    angles = [abs(float(np.angle(-L(np.array(x))))) for x in unit]
+        return Margins(False, (1.0, 1.0), 0.0, 0.0, np.inf, float(unit.max(initial=0.0)))
+    angle = np.angle(-L(unit))
     below, above = factors[factors < 1], factors[factors > 1]
     return Margins(
         True,
         (float(below.max(initial=0.0)), float(above.min(initial=np.inf))),
-        min(angles, default=np.pi),
-        delay_margin(law, vehicle),
+        float(np.abs(angle).min(initial=np.pi)),
+        delay_margin(law, vehicle, float((np.mod(angle, 2 * np.pi) / unit).min(initial=np.inf))),
         _peak(L, w, values),
-        max(unit, default=0.0),
+        float(unit.max(initial=0.0)),
     )
 
 
-def delay_margin(law: AxisLaw, vehicle: LoopVehicle) -> float:
+def delay_margin(law: AxisLaw, vehicle: LoopVehicle, about: float) -> float:
     """The least additional delay that makes a stable loop unstable [s]; infinite if none up to `LONGEST` does.
 
-    The eigenvalues are evaluated every quarter of a period, and the crossing is refined by root finding.
+    The eigenvalues are evaluated every quarter of a period, or `STEP`, and the crossing is refined by root finding.
+
+    Args:
+        law: The law.
+        vehicle: A vehicle with which the loop is stable.
+        about: The least phase over the frequency where |L| = 1 [s]: the delay margin, but that parts of a period change
+            |L| a little. The search begins a little before, where the loop is stable there, else at no delay.
     """
 
     def excess(more: float) -> float:
         return spectral_radius(law, vehicle._replace(delay=vehicle.delay + more)) - 1.0
 
-    steps = np.arange(0.0, LONGEST, law.period / 4)
-    for low, high in pairwise(steps.tolist()):
+    begin = about - 3 * max(law.period, STEP)
+    if begin >= LONGEST:
+        return np.inf
+    begin = begin if begin > 0 and excess(begin) < 0 else 0.0
+    for low, high in pairwise(np.arange(begin, LONGEST, max(law.period / 4, STEP)).tolist()):
         if excess(high) >= 0:
-            return float(brentq(excess, low, high, xtol=1e-7)) if excess(low) < 0 else 0.0
+            return float(brentq(excess, low, high, xtol=1e-7))
     return np.inf
 
 

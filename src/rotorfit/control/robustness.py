@@ -38,8 +38,8 @@ SLOWEST = 0.1
 LEAST = 0.1
 """Least share of the drawn vehicles that must agree with the intervals."""
 
-GRID = 300
-"""Number of frequencies at which the loops of the draws are evaluated."""
+DENSITY = 100
+"""Number of frequencies in a decade at which the loops of the draws are evaluated."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ class Doubt:
 
     Attributes:
         vehicles: D draws.
-        frequency: Grid of the responses, shape (GRID,) [rad/s].
-        response: From the command to the pose, complex, shape (D, GRID).
+        frequency: Grid of the responses, shape (F,) [rad/s].
+        response: From the command to the pose, complex, shape (D, F).
         seed: Seed of the draws.
     """
 
@@ -281,7 +281,7 @@ def doubt(vehicles: Sequence[LoopVehicle], period: float, latency: float, seed: 
         latency: Time from the exposure of a pose to the command that uses it [s].
         seed: Seed of the draws.
     """
-    w = frequencies(period, GRID)
+    w = frequencies(period, DENSITY)
     return Doubt(tuple(vehicles), w, np.array([vehicle_response(one, period, latency, w) for one in vehicles]), seed)
 
 
