@@ -1,5 +1,6 @@
 """Two intervals of every number, and what refutes it."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +21,7 @@ from rotorfit.dynamics.other_limits import scaled
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.judgement.cross_check import with_instruments
 from rotorfit.estimation.judgement.judge import _within
-from rotorfit.estimation.judgement.refutation import Homogeneity, cuts, homogeneity
+from rotorfit.estimation.judgement.refutation import Homogeneity, agreement, cuts, estimates_of_parts
 from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
 from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.files.cards import card_from_mapping
@@ -215,10 +216,27 @@ def test_a_coefficient_that_drifts_is_found_however_long_the_flight_is() -> None
     commands = SimpleNamespace(command_time=time, command=np.sin(time)[:, None])
     for innovation, found in ((noise + drift, True), (noise, False)):
         flight = Weighted(time, innovation, weight, weight)
-        test = homogeneity([flight], cuts([commands], [flight], 0)["time"], 0, 1.0, 1.0)  # type: ignore[list-item]
+        parts = estimates_of_parts([flight], cuts([commands], [flight], 0)["time"], 0, 1.0)  # type: ignore[list-item]
+        test = agreement({"input": parts}, lambda _name: 1.0)["input"]
 
-        assert test is not None
         assert (test.p_value < 1e-6) == found
+
+
+def test_a_steady_gain_is_as_uncertain_as_the_input_that_changed() -> None:
+    """Each part knows it too little to show the change, of which the input leaves no doubt."""
+    before = flown(Truth(), steps(("z",), seed=4), 120.0, 4)
+    late = before.command_time > 60.0
+    gain, damping = Truth().gamma[4:6]
+    changed = replace(before, command=np.where(late[:, None], before.command / 0.9, before.command))
+
+    axis = fit([changed], axes=("z",), structure="first_order_delay").model.axes["z"]
+    low, high = axis.combinations["steady_gain"].ci95
+    assert low is not None
+    assert high is not None
+    assert low < 0.9 * gain / damping
+    assert high > gain / damping
+    assert {one.test for one in axis.evidence} >= {"time", "quarter"}
+    assert not {one.test for one in fit([before], axes=("z",), structure="first_order_delay").model.axes["z"].evidence}
 
 
 def test_a_combination_that_is_not_judged_itself_is_widened_as_the_coefficients_are() -> None:

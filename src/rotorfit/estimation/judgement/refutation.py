@@ -6,6 +6,7 @@ information. If the law is right, the parts differ by chance; if not, the coeffi
 parts selected by what was flown show it:
 
 - time: stretches of the flights; what changes in an hour often changes in a minute;
+- quarter: quarters of long flights; what changes slowly, or once, is lost in many short stretches;
 - size: small or large commands in the last second; limits of acceleration, braking, dead zones;
 - speed: slow or fast changes of the command; dynamics that the law lacks.
 
@@ -19,7 +20,7 @@ Source: W. G. Cochran, Biometrics 10 (1954), pp. 101-129; R. DerSimonian, N. Lai
 pp. 177-188; N. R. Draper, H. Smith, Applied Regression Analysis, 3rd ed. (1998), section 2.2 (lack of fit).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,9 @@ STRETCH = 12.0
 
 STRETCHES = 25
 """Most stretches of all flights together: longer flights have longer ones, none of which falls below `LEAST_SHARE`."""
+
+QUARTERS = 4
+"""Number of parts of a flight that is twice as many stretches long, for what changes slowly."""
 
 MEMORY = 1.0
 """How far back commands are considered [s]."""
@@ -69,22 +73,29 @@ class Homogeneity:
 
 
 def cuts(records: Sequence[Record], weighted: Sequence[Weighted], k: int) -> Mapping[str, list[Indices]]:
-    """Parts of each flight, one label per block, shape (B,), by the name of the criterion: `time`, `size`, `speed`."""
+    """Parts of each flight, one label per block, shape (B,), by the name of the criterion."""
     memory = [_before(rec, one.time, k) for rec, one in zip(records, weighted, strict=True)]
     sizes = np.concatenate([size for size, _ in memory])
     speeds = np.concatenate([speed for _, speed in memory])
-    stretches, offset = [], 0
-    length = max(STRETCH, sum(float(one.time[-1] - one.time[0]) for one in weighted) / STRETCHES)
-    for one in weighted:
-        elapsed = one.time - one.time[0]
-        count = max(1, round(float(elapsed[-1]) / length))
-        stretches.append(offset + np.minimum((count * elapsed / (elapsed[-1] + 1e-9)).astype(int), count - 1))
-        offset += count
+    length = max(STRETCH, sum(float(np.ptp(one.time)) for one in weighted) / STRETCHES)
+    counts = [max(1, round(float(np.ptp(one.time)) / length)) for one in weighted]
+    fewer = [QUARTERS if count >= 2 * QUARTERS else count for count in counts]
     return {
-        "time": stretches,
+        "time": _stretches(weighted, counts),
+        **({"quarter": _stretches(weighted, fewer)} if fewer != counts else {}),
         "size": [_thirds(size, sizes) for size, _ in memory],
         "speed": [_thirds(speed, speeds) for _, speed in memory],
     }
+
+
+def _stretches(weighted: Sequence[Weighted], counts: Sequence[int]) -> list[Indices]:
+    """The stretch of each block of each flight, which has so many of equal length, counted over all flights."""
+    out, offset = [], 0
+    for one, count in zip(weighted, counts, strict=True):
+        elapsed = one.time - one.time[0]
+        out.append(offset + np.minimum((count * elapsed / (elapsed[-1] + 1e-9)).astype(int), count - 1))
+        offset += count
+    return out
 
 
 def _before(rec: Record, time: Array, k: int) -> tuple[Array, Array]:
@@ -100,17 +111,27 @@ def _thirds(values: Array, everywhere: Array) -> Indices:
     return np.searchsorted(np.quantile(everywhere, [1 / 3, 2 / 3]), values)
 
 
-def homogeneity(
-    weighted: Sequence[Weighted], labels: Sequence[Indices], q: int, wider: float, scale: float
-) -> Homogeneity | None:
-    """Agreement of the parts about quantity q; None where fewer than two have enough information.
+@dataclass(frozen=True)
+class Parts:
+    """Estimates of one quantity from M parts of the data, in standard errors of the published estimate.
+
+    Attributes:
+        apart: The estimates, each less the published one, shape (M,).
+        error: Their standard errors, shape (M,); infinite where a part has too little information.
+    """
+
+    apart: Array
+    error: Array
+
+
+def estimates_of_parts(weighted: Sequence[Weighted], labels: Sequence[Indices], q: int, wider: float) -> Parts:
+    """Estimates of quantity q from the parts of a cut.
 
     Args:
         weighted: Innovations and weights of each flight.
         labels: Part of each block, one array of shape (B,) per flight.
         q: Index of the quantity.
         wider: Factor on its standard error for innovations that are not white.
-        scale: Scale of the prior on the spread, in its standard errors.
     """
     count = 1 + max(int(part.max()) for part in labels)
     pull, power = np.zeros(count), np.zeros(count)
@@ -119,11 +140,44 @@ def homogeneity(
         power += np.bincount(part, np.sum(one.weight[:, :, q] ** 2, axis=1), count)
     total = power.sum()
     told = power > LEAST_SHARE * total
-    if total <= 0 or told.sum() < 2:
-        return None
-    share, pull = power[told] / total, pull[told]
-    apart = pull / (share * np.sqrt(total)) / wider  # in standard errors of the estimate
-    return homogeneity_of(apart, share**-0.5, scale)
+    share = np.where(told, power, 1.0) / max(total, 1e-300)
+    apart = np.where(told, pull / (share * np.sqrt(max(total, 1e-300))) / wider, 0.0)
+    return Parts(apart, np.where(told, share**-0.5, np.inf))
+
+
+def agreement(parts: Mapping[str, Parts], scale: Callable[[str], float]) -> Mapping[str, Homogeneity]:
+    """Agreement of the parts of one cut about each quantity that two of them tell.
+
+    Where the parts certainly differ about one quantity, each other one that changes with it from part to part has at
+    least that share of its spread: alone it may be known too little from each part to show one. So a steady gain is as
+    wrong as the input of a vehicle whose input alone has changed.
+
+    Args:
+        parts: Estimates of each quantity.
+        scale: Scale of the prior on the spread of a quantity, in its standard errors.
+    """
+    known = {name: one for name, one in parts.items() if np.isfinite(one.error).sum() > 1}
+    alone = {name: homogeneity_of(*_told(one), scale(name)) for name, one in known.items()}
+    leader = min(alone, key=lambda name: alone[name].p_value, default=None)
+    if leader is None or alone[leader].p_value >= CERTAIN:
+        return alone
+    led = {name: _slope(known[leader].apart, one) * alone[leader].sd for name, one in known.items()}
+    return {name: replace(one, sd=max(one.sd, led[name])) for name, one in alone.items()}
+
+
+def _told(parts: Parts) -> tuple[Array, Array]:
+    """Estimates and errors of the parts that tell the quantity."""
+    told = np.isfinite(parts.error)
+    return parts.apart[told], parts.error[told]
+
+
+def _slope(leader: Array, parts: Parts) -> float:
+    """Change of a quantity for a unit of another one's, from part to part, less what chance gives it; at least 0."""
+    weight = parts.error**-2.0
+    along = leader - weight @ leader / weight.sum()
+    power = float(weight @ along**2)
+    slope = float(weight @ (along * parts.apart)) / power if power > 0 else 0.0
+    return float(np.sqrt(max(slope**2 - 1 / power, 0.0))) if power > 0 else 0.0
 
 
 def homogeneity_of(apart: Array, error: Array, scale: float) -> Homogeneity:
@@ -249,11 +303,9 @@ def doubt(
     names = list(errors)
     labels = cuts(records, weighted, k)
     parts = {
-        cut: {
-            n: found
-            for q, n in enumerate(names)
-            if (found := homogeneity(weighted, label, q, wider[n], spread_scale(n)))
-        }
+        cut: dict(
+            agreement({n: estimates_of_parts(weighted, label, q, wider[n]) for q, n in enumerate(names)}, spread_scale)
+        )
         for cut, label in labels.items()
     }
     if not closed:
@@ -278,6 +330,7 @@ def _refutes(one: Evidence, factor: Mapping[str, float]) -> bool:
 
 _CUTS = {
     "time": "stretches of time do not agree",
+    "quarter": "quarters of long flights do not agree",
     "size": "small and large commands do not agree",
     "speed": "slow and fast commands do not agree",
     "method": "likelihood and instrumental variables do not agree",
