@@ -13,8 +13,8 @@ from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.app.terminal.tracking import alarm_view, line_of, news, track_view
 from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Combination, Mode, Model
-from rotorfit.core.tracked import UNMOVED, Air, Alarm, Track, Tracked, TrackedAxis
+from rotorfit.core.model import Combination, Evidence, Mode, Model
+from rotorfit.core.tracked import UNMOVED, Air, Alarm, Regime, Track, Tracked, TrackedAxis
 
 
 def rows_of(shown: Model, capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
@@ -162,6 +162,19 @@ def test_another_law_is_told_when_it_comes_and_once_more_where_it_came_at_the_en
     assert said in " ".join(capsys.readouterr().out.split())
     assert Track(states[:2], ()).laws_at_end == ()
     assert Track((states[0], replace(states[2], axes={"x": replace(plain, earlier="a.json")})), ()).laws_at_end == ()
+
+
+def test_an_axis_that_drifts_without_an_alarm_is_told_of_at_the_end(capsys: pytest.CaptureFixture[str]) -> None:
+    drifting = Evidence("quarter", "quarters of long flights do not agree, most about the input", 3e-9, {"input": 0.1})
+    states = (Tracked(200.0, {"z": TrackedAxis("known", "known")}),)
+    drifted = model({"z": replace(axis(), evidence=(drifting, replace(drifting, test="size")))})
+    show(track_view(Track(states, (Regime(0.0, 200.0, drifted),))))
+
+    said = " ".join(capsys.readouterr().out.split())
+    assert (
+        "z: quarters of long flights do not agree, most about the input (p = 3e-09): it drifts, or" in said
+    )
+    assert Track(states, (Regime(0.0, 200.0, model({"z": axis()})),)).drifts == ()
 
 
 def test_the_zero_of_a_law_stands_beside_the_lag_that_it_shortens(capsys: pytest.CaptureFixture[str]) -> None:

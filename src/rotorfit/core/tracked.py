@@ -352,6 +352,9 @@ class Tracked:
         }
 
 
+DRIFTING, CERTAIN = ("time", "quarter"), 1e-5
+"""Tests of a fit that show a vehicle that changes in flight, and the p-value below which one is told of."""
+
 TIMELINE = ("input", "damping", "delay")
 """The quantities shown in a figure of the whole flight."""
 
@@ -425,6 +428,21 @@ class Track:
             f"{before[axis].structure}: only steady gain and total lag compare"
             for axis, one in last.items()
             if axis in before and other_law(before[axis], one)
+        )
+
+    @property
+    def drifts(self) -> tuple[str, ...]:
+        """The axes of the last regime that certainly changed within it, by less than an alarm needs, in words."""
+        models = [regime.model for regime in self.regimes if regime.model]
+        worst = {
+            axis: min(told, key=lambda each: each.p_value)
+            for axis, one in (models[-1].axes.items() if models else ())
+            if (told := [each for each in one.evidence if each.test in DRIFTING and each.p_value < CERTAIN])
+        }
+        return tuple(
+            f"{axis}: {each.strength} (p = {each.p_value:.1g}): it drifts, or changed by less than an alarm needs; "
+            "the intervals allow for it"
+            for axis, each in worst.items()
         )
 
     def _watch_of(self, axis: str) -> str:

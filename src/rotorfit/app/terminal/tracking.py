@@ -144,7 +144,7 @@ def track_view(result: Track) -> View:
     yield from bullets(
         f"{name} against the earlier model: {_apart(axis)}" for name, axis in last.axes.items() if axis.against
     )
-    yield from bullets(result.laws_at_end)
+    yield from bullets((*result.laws_at_end, *result.drifts))
     if result.watch:
         yield indented(result.watch, 0)
     if last.air:
