@@ -221,7 +221,8 @@ class Tracker:
         told = json.loads(str(memory["following"]))
         name, raw = told.pop("card")
         if raw != json.loads(json.dumps(self._card.raw)):
-            raise CardError(f"was learnt with the card {name}, not with {self._card.name}; name another file")
+            mine = "another one of that name" if name == self._card.name else self._card.name
+            raise CardError(f"was learnt with the card {name}, not with {mine}; name another file")
         self._growing.recall(memory)
         self._memory = told
         self._due = float(self._memory["next_look"])
