@@ -93,7 +93,10 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
             },
         ),
         "time": ("Over time", {"number": panels.number, "axes": _by_axis(panels)}),
-        "alarms": ("Alarms", {"alarms": [raised(alarm) for alarm in track.alarms], "watch": track.watch}),
+        "alarms": (
+            "Alarms",
+            {"alarms": [raised(one) for one in track.alarms], "watch": track.watch, "drifts": track.drifts},
+        ),
         "regimes": ("Regimes", {"regimes": _regimes(track.regimes, files), "several_regimes": len(track.regimes) > 1}),
         "on": (
             "How to go on",
