@@ -70,6 +70,18 @@ def test_marks_beside_which_nothing_is_compiled_are_not_believed(started: list[l
         assert started
 
 
+def test_what_a_busy_machine_did_not_finish_in_time_is_begun_again(
+    started: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(first_use, "PATIENCE", 0.0)
+    monkeypatch.setattr(Process, "poll", lambda _self: None)
+    monkeypatch.setattr(Process, "kill", lambda _self: None, raising=False)
+    for _ in range(2):
+        started.clear()
+        compile_beforehand(FITTING)
+        assert started
+
+
 def test_what_was_asked_for_is_compiled_and_later_only_the_rest(started: list[list[str]]) -> None:
     compile_beforehand(VALIDATION)
 

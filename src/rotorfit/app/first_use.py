@@ -50,6 +50,8 @@ def compile_beforehand(wanted: Sequence[str], progress: Progress | None = None) 
             if progress:
                 progress(0.0, f"{TEXT}: {perf_counter() - begun:.0f} s")
             sleep(_LOOK)
+        if any(one.poll() is None for one in running):  # the next use goes on where this one stopped
+            return
     except OSError:  # no process may be started: the fit compiles what it calls
         return
     finally:
