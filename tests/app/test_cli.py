@@ -6,7 +6,7 @@ import pty
 import re
 import subprocess
 import sys
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import click
@@ -57,12 +57,20 @@ def done(*arguments: object) -> str:
     return result.stdout
 
 
-def json_of(*arguments: object) -> dict:
+told = cache(done)
+"""The same, once for all tests that ask the same of a verb which writes nothing."""
+
+
+def from_json(text: str) -> dict:
     def refuse(constant: str) -> None:
         raise AssertionError(f"{constant} is not JSON")
 
-    found: dict = json.loads(done(*arguments, "--json"), parse_constant=refuse)
+    found: dict = json.loads(text, parse_constant=refuse)
     return found
+
+
+def json_of(*arguments: object) -> dict:
+    return from_json(done(*arguments, "--json"))
 
 
 LAW = ("--structure", "first_order_delay")
@@ -108,21 +116,24 @@ def test_the_version_is_the_packages() -> None:
     assert done("--version") == f"rotorfit {__version__}\n"
 
 
-def imported_by(*lines: list[str]) -> set[str]:
-    """What a fresh process has imported after these command lines, which must all have printed something."""
+def imported_by(*lines: list[str], stderr: int = subprocess.PIPE) -> tuple[str, set[str]]:
+    """What a fresh process prints and has imported after these command lines, which must all have printed something."""
     code = (
         "import sys\nfrom rotorfit.app.cli import main\n"
         f"for line in {lines!r}:\n  try: main(line)\n  except SystemExit as end: assert end.code == 0\n"
         "print('imported:', *(name for name in sys.modules if name.count('.') < 2))"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE, stderr=stderr, text=True, check=True, env={**os.environ, "TERM": "xterm"},
+    )  # fmt: skip
     shown, _, names = found.stdout.rpartition("imported:")
     assert shown
-    return set(names.split())
+    return shown, set(names.split())
 
 
 def test_help_imports_nothing_heavy() -> None:
-    names = imported_by(["--help"], *([verb, "--help"] for verb in VERBS))
+    _, names = imported_by(["--help"], *([verb, "--help"] for verb in VERBS))
 
     assert "click" in names
     assert not names & {"numpy", "numba", "scipy", "polars", "rosbags", "matplotlib", "rich"}
@@ -138,13 +149,34 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise(monkeypatc
 
 
 def test_lists_of_what_is_known_do_not_wait_for_the_compiler() -> None:
-    assert "numba" not in imported_by(["cards"], ["formats"])
+    assert "numba" not in imported_by(["cards"], ["formats"])[1]
 
 
-def test_a_fit_imports_of_scipy_what_it_uses() -> None:
+def _drained(terminal: int) -> bytes:
+    """All that was written to a pseudo-terminal whose other end is closed; one read gives 4096 bytes at the most."""
+    parts = []
+    try:
+        while part := os.read(terminal, 1 << 16):
+            parts.append(part)
+    except OSError:  # the other end is closed and nothing is left
+        pass
+    return b"".join(parts)
+
+
+@pytest.fixture(scope="module")
+def fresh() -> tuple[str, str, set[str]]:
+    """A fit in a process of its own: its output, what a terminal showed beside it, what was imported."""
     words = [str(FOLDER / "flight.csv"), "--card", str(FOLDER / "card.toml"), "--axes", "z", *LAW, "--json"]
+    reader, writer = pty.openpty()
+    shown, names = imported_by(["fit", *words], stderr=writer)
+    os.close(writer)
+    said = ANSI.sub("", _drained(reader).decode(errors="replace"))
+    os.close(reader)
+    return shown, said, names
 
-    names = imported_by(["fit", *words])
+
+def test_a_fit_imports_of_scipy_what_it_uses(fresh: tuple[str, str, set[str]]) -> None:
+    _, _, names = fresh
 
     assert "scipy.special" in names
     assert not names & {f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "signal", "stats")}
@@ -178,7 +210,7 @@ def test_a_fit_writes_nothing_unless_it_is_asked_to(
 
 def test_a_fit_shows_coefficients_intervals_search_repairs_and_findings(folder: Path) -> None:
     model = load(folder / "ml.json")
-    found = done("fit", folder / "first.bag", *LAW)
+    found = told("fit", folder / "first.bag", *LAW)
 
     for name in ("damping", "delay", "steady gain", "total lag"):
         assert len(re.findall(rf"^ +{name} +[\d.]+ +[\d.]+ to [\d.]+ +[\d.]+ to [\d.]+ ", found, re.MULTILINE)) == 2
@@ -253,7 +285,7 @@ def test_leaving_out_one_flight_shows_every_flight_and_the_spread_and_is_kept(fo
     kept = json.loads(output.read_text())["leave_one_out"]
     assert [Path(flight["path"]).name for flight in kept["flights"]] == ["first.bag", "second.bag"]
     assert kept == to_mapping(load(output))["leave_one_out"]
-    assert json_of("fit", logs[0], "--axes", "x", *LAW)["leave_one_out"] is None
+    assert json.loads((folder / "ml.json").read_text())["leave_one_out"] is None
 
 
 def test_one_log_cannot_be_left_out_but_its_parts_can(folder: Path) -> None:
@@ -269,6 +301,11 @@ def test_one_log_cannot_be_left_out_but_its_parts_can(folder: Path) -> None:
 # Validate and compare
 
 
+def proof(folder: Path) -> tuple[object, ...]:
+    """The model on the flight that was not fitted, at more horizons than the table has by itself."""
+    return "validate", folder / "ml.json", folder / "second.bag", "--horizons", "0.2,0.5,1,2,3,5"
+
+
 def test_a_flight_that_the_model_was_fitted_to_is_told_before_its_scores(folder: Path) -> None:
     lines = done("validate", folder / "ml.json", folder / "first.bag", "--horizons", "0.5").splitlines()
 
@@ -276,12 +313,12 @@ def test_a_flight_that_the_model_was_fitted_to_is_told_before_its_scores(folder:
 
 
 def test_scores_stand_beside_the_baselines_at_the_horizons_asked_for(folder: Path) -> None:
-    found = json_of("validate", folder / "ml.json", folder / "second.bag", "--horizons", "0.5,1")
+    found = from_json(told(*proof(folder), "--json"))
 
     assert list(found) == ["flights", "baselines", "paired", "residuals", "frequency_response", "bands", "findings"]
     assert list(found["baselines"]) == ["hold", "paper", "coast"]
     (flight,) = found["flights"]
-    assert list(flight["axes"]["x"]["horizons"]) == ["0.5", "1"]
+    assert list(flight["axes"]["x"]["horizons"]) == ["0.2", "0.5", "1", "2", "3", "5"]
     errors = {
         name: each["axes"]["x"]["horizons"]["1"]["velocity_rmse"]
         for name, each in {"model": flight, **{n: b["flights"][0] for n, b in found["baselines"].items()}}.items()
@@ -291,7 +328,7 @@ def test_scores_stand_beside_the_baselines_at_the_horizons_asked_for(folder: Pat
 
 
 def test_scores_are_printed_for_every_horizon_however_many(folder: Path) -> None:
-    found = done("validate", folder / "ml.json", folder / "second.bag", "--horizons", "0.2,0.5,1,2,3,5")
+    found = told(*proof(folder))
 
     found = found.partition("Is the difference")[0]
     assert re.findall(r"v ([\d.]+) s", found) == ["0.2", "0.5", "1", "2", "3", "5"]
@@ -321,7 +358,7 @@ def test_a_comparison_agrees_with_each_models_own_validation(folder: Path) -> No
 
 
 def test_compared_models_are_shown_side_by_side_with_their_files(folder: Path) -> None:
-    found = done("compare", folder / "ml.json", folder / "paper.json", folder / "second.bag")
+    found = told("compare", folder / "ml.json", folder / "paper.json", folder / "second.bag")
 
     assert f"model 2: {folder / 'paper.json'}" in found
     assert re.findall(r"^(?:x| ) +(model 1|model 2|hold|paper|coast) .*%$", found, re.MULTILINE)[:5] == [
@@ -347,7 +384,7 @@ def test_every_pair_of_models_and_baselines_is_tested(folder: Path) -> None:
     assert against["flights"][0]["rmse"] == against["pooled"]["rmse"]
     assert found["paired"][3]["axes"]["x"]["1"]["velocity"]["pooled"]["verdict"] == "better"
     assert found["paired"][0]["axes"]["z"]["1"]["velocity"]["flights"] == [None]
-    text = done("compare", *models, log)
+    text = told("compare", *models, log)
     assert re.search(r"2 vs 1 +\+[\d.]+ \([-+][\d.]+ to \+[\d.]+\) +(worse|none shown)", text)
 
 
@@ -379,8 +416,7 @@ def test_a_model_that_reads_other_motion_from_the_logs_is_not_paired(folder: Pat
 
 
 def test_what_the_residuals_say_is_printed_axis_by_axis_and_in_the_json(folder: Path) -> None:
-    text = done("validate", folder / "ml.json", folder / "second.bag")
-    found = json_of("validate", folder / "ml.json", folder / "second.bag")
+    text, found = told(*proof(folder)), from_json(told(*proof(folder), "--json"))
 
     assert re.findall(r"^  - (\w): (?:not )?white \(p = ", text, re.MULTILINE) == ["x", "y"]
     axes = found["residuals"][0]["axes"]
@@ -570,7 +606,7 @@ def test_nothing_is_wider_than_the_terminal_and_no_number_is_cut(folder: Path, m
 
 
 def test_a_pipe_gets_whole_lines_without_colours_and_trailing_blanks(folder: Path) -> None:
-    found = done("fit", folder / "first.bag", *LAW)
+    found = told("fit", folder / "first.bag", *LAW)
 
     assert "\x1b" not in found
     assert not any(line != line.rstrip() for line in found.splitlines())
@@ -578,33 +614,11 @@ def test_a_pipe_gets_whole_lines_without_colours_and_trailing_blanks(folder: Pat
     assert f"  - {notes[0].text}" in found.splitlines()
 
 
-def _drained(terminal: int) -> bytes:
-    """All that was written to a pseudo-terminal whose other end is closed; one read gives 4096 bytes at the most."""
-    parts = []
-    try:
-        while part := os.read(terminal, 1 << 16):
-            parts.append(part)
-    except OSError:  # the other end is closed and nothing is left
-        pass
-    return b"".join(parts)
+def test_progress_is_shown_on_a_terminal_beside_clean_json(fresh: tuple[str, str, set[str]]) -> None:
+    shown, said, _ = fresh
 
-
-def test_progress_is_shown_on_a_terminal_beside_clean_json(folder: Path) -> None:
-    reader, writer = pty.openpty()
-    code = "from rotorfit.app.cli import main; main()"
-
-    found = subprocess.run(
-        [sys.executable, "-c", code, "fit", str(folder / "first.bag"), "--axes", "x", *LAW, "--json"],
-        stdout=subprocess.PIPE,
-        stderr=writer,
-        env={**os.environ, "TERM": "xterm"},
-        check=True,
-    )
-    os.close(writer)
-
-    assert json.loads(found.stdout)["format"] == "rotorfit-model"
-    assert "likelihood of x" in ANSI.sub("", _drained(reader).decode(errors="replace"))
-    os.close(reader)
+    assert from_json(shown)["format"] == "rotorfit-model"
+    assert "likelihood of z" in said
 
 
 # Real flights

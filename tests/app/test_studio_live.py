@@ -1,21 +1,34 @@
 """The studio follows a vehicle: states reach its live page, the recording becomes a log, and mistakes are one line."""
 
 import json
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
 
 from rotorfit.app.loopback.gate import FRAMED
+from rotorfit.app.web import following
 from rotorfit.app.web.routes import Studio
 from rotorfit.core.log import Sample
 from rotorfit.flying.recorder import record
 from studio_room import client_of, opened, session_of
 
 SIM = {"link": "sim,gusts=0.2", "card": ""}
+
+
+@pytest.fixture
+def one_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Vehicles are followed under one law: the average of several takes most of the time, and is not what is proved."""
+
+    def started(words: list[str], **options: Any) -> subprocess.Popen[str]:
+        return subprocess.Popen([*words, "--structure", "first_order_delay"], **options)
+
+    monkeypatch.setattr(following, "subprocess", SimpleNamespace(**{**vars(subprocess), "Popen": started}))
 
 
 def until(found: Callable[[], Any], seconds: float = 120.0) -> Any:
@@ -26,6 +39,7 @@ def until(found: Callable[[], Any], seconds: float = 120.0) -> Any:
     return value
 
 
+@pytest.mark.usefixtures("one_law")
 def test_a_simulated_vehicle_is_followed_and_becomes_a_log(studio: Studio, page: TestClient) -> None:
     assert session_of(page)["live"] is None
     assert page.post("/api/live", json=SIM).status_code == 200
@@ -58,6 +72,7 @@ def heard(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-50])
 
 
+@pytest.mark.usefixtures("one_law")
 def test_a_recording_outlives_a_studio_that_is_closed_while_it_follows(tmp_path: Path) -> None:
     with opened(tmp_path / "room") as studio:
         assert client_of(studio).post("/api/live", json=SIM).status_code == 200
