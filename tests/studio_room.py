@@ -93,7 +93,7 @@ class FitHere:
 
 
 def fits_here(patch: pytest.MonkeyPatch) -> None:
-    """Lets fits be made in this process from now on; `test_studio_trouble.py` makes them in processes."""
+    """Lets fits be made in this process from now on; `test_studio_browser.py` makes them in processes."""
     patch.setattr("rotorfit.app.web.runner.subprocess", SimpleNamespace(Popen=FitHere, PIPE=None))
 
 

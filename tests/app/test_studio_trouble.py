@@ -22,7 +22,7 @@ from rotorfit.core.log import Sample
 from rotorfit.files.cards import builtin_card_text
 from rotorfit.flying.recorder import record
 from studio_requests import Hostile
-from studio_room import added, bag, client_of, opened, session_of, settled
+from studio_room import added, bag, client_of, fits_here, opened, session_of, settled
 
 TESTS = Path(__file__).resolve().parents[1]
 DEEP = "a." * 3000 + "b = 1\n"
@@ -350,8 +350,9 @@ def test_a_worker_that_is_killed_at_any_moment_leaves_the_earlier_fit_whole(
 
 @pytest.mark.flights
 def test_a_log_for_validation_that_does_not_match_is_named_and_the_others_go_on(
-    studio: Studio, page: TestClient
+    studio: Studio, page: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    fits_here(monkeypatch)
     for name, content in (("train.bag", bag(1)), ("odd.csv", SMALL), ("proof.bag", bag(2)), ("twice.bag", bag(2))):
         added(page, name, content)
     page.put("/api/card", json={"text": CARD, "seen": 0})

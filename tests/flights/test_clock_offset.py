@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flights import fit_as_flown, steps
+from flights import Excitation, fit_as_flown, steps
 from rotorfit.control.robustness import believed_possible, known_dynamics
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Clocks, Flight
 from rotorfit.core.frames import world_from_heading
 from rotorfit.core.log import Log, Table
-from rotorfit.core.model import NORMAL
+from rotorfit.core.model import NORMAL, Model
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read as read_log
@@ -275,14 +275,21 @@ def test_the_finding_says_what_was_moved_and_by_what() -> None:
 # Only the answer to the commands tells
 
 
-@pytest.mark.parametrize(
-    ("excitation", "offset"), [pytest.param(two_sines, -0.4, marks=pytest.mark.slow), (steps(seed=4), 250.0)]
-)
-def test_without_a_second_source_the_delay_is_not_identifiable(excitation: object, offset: float) -> None:
-    flight = simulate_flight(Truth(), excitation, LENGTH, 3)  # type: ignore[arg-type]
-    log = as_one(flight, Skew(offset))
-    result = flight_from_log(log, bound(card_of(velocity=False), log))
-    model = fit_as_flown([result], axes=("yaw",)).model.axes["yaw"]
+@functools.cache
+def answered(excitation: Excitation, offset: float) -> tuple[Log, Flight, Model]:
+    """A log whose clocks only the answer to the commands joins, its flight, and the fit of yaw."""
+    log = as_one(simulate_flight(Truth(), excitation, LENGTH, 3), Skew(offset))
+    flight = flight_from_log(log, bound(card_of(velocity=False), log))
+    return log, flight, fit_as_flown([flight], axes=("yaw",)).model
+
+
+STEPS = steps(seed=4), 250.0
+
+
+@pytest.mark.parametrize(("excitation", "offset"), [pytest.param(two_sines, -0.4, marks=pytest.mark.slow), STEPS])
+def test_without_a_second_source_the_delay_is_not_identifiable(excitation: Excitation, offset: float) -> None:
+    log, result, fitted = answered(excitation, offset)
+    model = fitted.axes["yaw"]
 
     assert result.clocks is not None
     assert result.clocks.includes_delay
@@ -302,8 +309,7 @@ def test_without_a_second_source_the_delay_is_not_identifiable(excitation: objec
 
 
 def test_what_only_the_answer_tells_of_a_delay_reaches_neither_gains_nor_plans() -> None:
-    log = as_one(simulate_flight(Truth(), steps(seed=4), LENGTH, 3), Skew(250.0))
-    model = fit_as_flown([flight_from_log(log, bound(card_of(velocity=False), log))], axes=("yaw",)).model
+    _, _, model = answered(*STEPS)
 
     assert model.covariance_names == ("yaw.input", "yaw.damping")
     assert known_dynamics(model, "yaw").delay == 0.0
@@ -317,9 +323,9 @@ def test_what_only_the_answer_tells_of_a_delay_reaches_neither_gains_nor_plans()
 
 
 def test_flights_with_and_without_the_delay_in_their_clocks_are_not_fitted_together() -> None:
-    log = as_one(flown(), Skew(0.3))
+    _, with_delay, _ = answered(*STEPS)
     with pytest.raises(FlightError, match="fit this flight separately"):
-        fit_as_flown([replace(read(log, velocity=False), card=card_of()), read(log)])
+        fit_as_flown([replace(with_delay, card=card_of()), read(as_one(flown(), Skew(0.3)))])
 
 
 # What must not be believed

@@ -17,6 +17,7 @@ from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import parse_log
 from rotorfit.files.logs import read
 from rotorfit.files.logs.several import join_logs, parts_of
+from rotorfit.files.models import load
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.several_files import bound, flights_of
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
@@ -44,6 +45,17 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], str]:
         '[pose]\ntime = "t"\nx = "x"\ny = "y"\nz = "z"\nyaw = "yaw"\n'
     )
     return paths, str(card)
+
+
+@pytest.fixture(scope="module")
+def apart(files: tuple[list[str], str]) -> Path:
+    """A model of yaw from commands and poses, given to the command line as two logs."""
+    (commands, _, mocap), card = files
+    model = Path(card).with_name("model.json")
+    words = ["fit", commands, mocap, "--card", card, "--axes", "yaw", "--structure", LAW, "-o", str(model)]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    return model
 
 
 def test_a_plus_joins_and_a_file_of_that_name_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,24 +138,26 @@ def test_logs_that_lack_a_column_even_together_stay_apart() -> None:
     assert [log for _, log in flights_of(logs, CARD)] == logs
 
 
-def test_fit_takes_two_files_as_one_flight_and_the_model_finds_them_again(files: tuple[list[str], str]) -> None:
+def test_fit_takes_two_files_as_one_flight_and_the_model_finds_them_again(
+    files: tuple[list[str], str], apart: Path
+) -> None:
     (commands, odometry, mocap), card = files
-    apart = fit_logs([parse_log(commands), parse_log(mocap)], card, axes=("yaw",), structure=LAW).model
+    model = load(apart)
     text = Path(card).read_text() + '[velocity]\nframe = "heading"\ntime = "odometry:t"\nx = "v_x"\nyaw = "r"\n'
     Path(card).with_name("more.toml").write_text(text)
     path = f"{commands}+{odometry}+{mocap}"
     told = fit_logs([parse_log(path)], str(Path(card).with_name("more.toml")), axes=("yaw",), structure=LAW).model
 
-    assert apart.flights[0].path == f"{commands}+{mocap}"
-    assert any("taken as one flight" in note.text for note in apart.flights[0].notes)
-    found = {finding.code for finding in apart.findings}
+    assert model.flights[0].path == f"{commands}+{mocap}"
+    assert any("taken as one flight" in note.text for note in model.flights[0].notes)
+    found = {finding.code for finding in model.findings}
     assert "clock_includes_delay" in found
     assert "delay_not_identifiable" not in found
-    low, high = apart.axes["yaw"].combinations["offset_plus_delay"].ci95
+    low, high = model.axes["yaw"].combinations["offset_plus_delay"].ci95
     assert low is not None
     assert high is not None
     assert high - low < 0.1
-    assert apart.axes["yaw"].delay is None
+    assert model.axes["yaw"].delay is None
     assert told.flights[0].path == path
     flights, left_out = training_flights(told)
     assert [flight.path for flight in flights] == [path]
@@ -186,7 +200,7 @@ def test_without_a_card_info_and_fit_say_to_join_commands_and_poses_by_a_plus(fi
 
 
 def test_onboard_motion_in_a_third_file_is_on_no_known_clock() -> None:
-    vehicle, room = in_two_files(simulate_flight(Truth(), steps(seed=1), 30.0, 1), Skew(0.25))
+    vehicle, room = in_two_files(simulate_flight(Truth(), steps(seed=1), 14.0, 1), Skew(0.25))
     third = log_of("odometry.csv", {"odometry": vehicle.tables["odometry"].columns})
     first = log_of("commands.csv", {"commands": vehicle.tables["commands"].columns})
 
@@ -195,13 +209,13 @@ def test_onboard_motion_in_a_third_file_is_on_no_known_clock() -> None:
     assert clocks.includes_delay
 
 
-def test_fit_and_report_show_a_flight_whose_clocks_hold_the_delay(files: tuple[list[str], str], tmp_path: Path) -> None:
-    (commands, _, mocap), card = files
-    model, page = str(tmp_path / "model.json"), str(tmp_path / "report.html")
-    for words in (
-        ["fit", commands, mocap, "--card", card, "--axes", "yaw", "--structure", LAW, "-o", model],
-        ["report", model, f"{commands}+{mocap}", "-o", page],
-    ):
-        result = CliRunner().invoke(main, words)
-        assert result.exit_code == 0, result.output
-    assert "offset and delay together" in Path(page).read_text()
+def test_fit_and_report_show_a_flight_whose_clocks_hold_the_delay(
+    files: tuple[list[str], str], apart: Path, tmp_path: Path
+) -> None:
+    (commands, _, mocap), _ = files
+    page = tmp_path / "report.html"
+
+    result = CliRunner().invoke(main, ["report", str(apart), f"{commands}+{mocap}", "-o", str(page)])
+
+    assert result.exit_code == 0, result.output
+    assert "offset and delay together" in page.read_text()
