@@ -57,7 +57,7 @@ def test_margins_hold_for_vehicles_that_were_not_drawn(kind: Kind) -> None:
     model = model_of(error=0.08)
     one = tune(model, kind, axes=("y",)).axes["y"]
 
-    others = [margins(one.law, vehicle) for vehicle in believed_possible(model, "y", 60, 99)]
+    others = [margins(one.law, vehicle) for vehicle in believed_possible(model, "y", 25, 99)]
 
     kept = [other.peak <= 1.02 * PEAK and other.delay >= DELAY_SHARE * one.law.reach for other in others]
     assert np.mean(kept) >= 0.88

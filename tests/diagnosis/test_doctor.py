@@ -400,12 +400,12 @@ def test_axes_that_a_frozen_pose_spoils_are_sent_to_the_pose_and_not_to_another_
     assert {status for axis in ("x", "y", "yaw") for status in stored.axes[axis].status.values()} == {"ok"}
     assert "the pose stands still while z is commanded" in summary_of_model(stored)
     mend = "first do what the finding pose_frozen says"
-    assert tune(stored).refused == {
+    assert tune(stored, axes=("z", "yaw")).refused == {
         "z": f"the model has no numbers (pose_frozen): the pose stood still under commands: {mend}"
     }
     with pytest.raises(ModelError, match=f"no numbers for z .*{mend}"):
         predictor_of(stored, "z")
-    plans, proposal = planned(Request(after=stored, design="multisine"))
+    plans, proposal = planned(Request(after=stored, design="multisine", duration=20.0))
     assert proposal is not None
     assert proposal.reason.startswith("x, y: the worst known axes")
     assert any(note.startswith("z: ") and note.endswith(mend) for note in plans[0].belief["notes"])
@@ -419,7 +419,7 @@ def test_axes_that_a_frozen_pose_spoils_are_sent_to_the_pose_and_not_to_another_
 def test_a_frozen_x_or_yaw_spoils_what_the_heading_mixes_with_it(
     tmp_path: Path, axis: str, wrong: str, others: str
 ) -> None:
-    log = Csv(flown())
+    log = Csv(flown(duration=20.0))
     log.pose[:, POSE.index(axis)] = 0.0
     words = log.write(tmp_path)
 
