@@ -195,8 +195,10 @@ def test_a_fit_is_that_of_the_command_line_from_a_path_a_flight_or_a_list(room: 
     assert said["findings"]
     assert said["axes"]["z"]["profile"]
     assert plain(room.fit.model) == said
-    for same in (flight, [flight], [Path(room.train)], (flight,)):
-        assert plain(rf.fit(same, card=room.card, axes=("z", "yaw"), structure=LAW).model) == said
+    assert plain(rf.fit(flight, axes=("z", "yaw"), structure=LAW).model) == said
+    paper = ran("fit", room.train, "--card", room.card, "--axes", "z,yaw", "--method", "paper")
+    for same in (room.train, flight, [flight], [Path(room.train)], (flight,)):
+        assert plain(rf.fit(same, "paper", ("z", "yaw"), card=room.card).model) == paper
     assert rf.flight_from_log(rf.read(room.train), rf.load_card(room.card)).findings == flight.findings != ()
 
 
