@@ -82,9 +82,9 @@ def by_hand(
         card=CARD,
         span=(parts[0].start, parts[-1].end),
         axes=AXES,
-        command_time=np.asarray(command_time, float),
-        command=np.asarray(command, float),
-        pose_time=np.asarray(pose_time, float),
+        command_time=np.ascontiguousarray(command_time, float),  # as a reader's: another layout is compiled anew
+        command=np.ascontiguousarray(command, float),
+        pose_time=np.ascontiguousarray(pose_time, float),
         position=np.ascontiguousarray(pose[:, :3], dtype=float),
         yaw=np.ascontiguousarray(pose[:, 3], dtype=float),
         segments=parts,
