@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -36,10 +37,10 @@ DROP = """([name, base64]) => {
 }"""
 
 
-@pytest.fixture
-def address(tmp_path: Path) -> Iterator[str]:
-    """Of a studio in a process of its own."""
-    command = [sys.executable, "-m", "rotorfit", "studio", str(tmp_path / "workspace"), "--json"]
+@contextmanager
+def started(workspace: Path) -> Iterator[str]:
+    """Address of a studio in a process of its own."""
+    command = [sys.executable, "-m", "rotorfit", "studio", str(workspace), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         said = ""
@@ -50,6 +51,20 @@ def address(tmp_path: Path) -> Iterator[str]:
         yield json.loads(said)["address"]
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[str]:
+    """Of a studio of its own."""
+    with started(tmp_path / "workspace") as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a studio for tests that leave no log in it."""
+    with started(tmp_path_factory.mktemp("shared") / "workspace") as one:
+        yield one
 
 
 @pytest.fixture
@@ -211,8 +226,8 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
     assert page.complaints == []  # type: ignore[attr-defined]
 
 
-def test_a_number_that_is_refused_does_not_stay_in_its_box(context: BrowserContext, address: str) -> None:
-    page = opened(context, address)
+def test_a_number_that_is_refused_does_not_stay_in_its_box(context: BrowserContext, shared: str) -> None:
+    page = opened(context, shared)
     drop(page, "flight.bag", bag(1))
     expect(page.locator("#logs .cards li")).to_have_count(1)
     step(page, "Card")
@@ -224,11 +239,14 @@ def test_a_number_that_is_refused_does_not_stay_in_its_box(context: BrowserConte
         start.press("Enter")
         expect(page.locator("#notices .error").last).to_contain_text(f"the range {seconds} s to end holds nothing")
         expect(start).to_have_value("")
+    step(page, "Logs")
+    page.get_by_label("Remove flight.bag").click()
+    expect(page.locator("#logs .cards li")).to_have_count(0)
     assert page.complaints == []  # type: ignore[attr-defined]
 
 
-def test_a_bad_file_and_a_wicked_name_do_no_harm(context: BrowserContext, address: str) -> None:
-    page = opened(context, address)
+def test_a_bad_file_and_a_wicked_name_do_no_harm(context: BrowserContext, shared: str) -> None:
+    page = opened(context, shared)
     wicked = '<img src=x onerror="alert(1)">.bag'
 
     drop(page, "holiday.jpg", b"\xff\xd8\xff\xe0 no log at all")
@@ -344,9 +362,9 @@ def test_a_fit_that_is_killed_or_cancelled_leaves_the_page_usable(context: Brows
     assert page.complaints == []  # type: ignore[attr-defined]
 
 
-def test_without_the_key_the_browser_is_told_where_it_is(context: BrowserContext, address: str) -> None:
+def test_without_the_key_the_browser_is_told_where_it_is(context: BrowserContext, shared: str) -> None:
     page = context.new_page()
-    answer = page.goto(address.partition("?")[0])
+    answer = page.goto(shared.partition("?")[0])
 
     assert answer is not None
     assert answer.status == 401

@@ -32,6 +32,21 @@ def rotorfit(*words: object) -> Result:
     return CliRunner().invoke(main, [str(word) for word in words])
 
 
+@pytest.fixture
+def echo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A module in the place of the tracker's, which takes seconds to start: at the end it tells what it heard."""
+    text = """
+import json, sys
+from rotorfit.flying.beside import RECORD
+data = sys.stdin.buffer.read().split(b"\\n", 1)[1]
+heard = [RECORD.unpack_from(data, at) for at in range(0, len(data), RECORD.size)]
+print(json.dumps({"time": 0.0, "words": "", "summary": json.dumps(heard), "alarms": [], "gains": []}))
+"""
+    (tmp_path / "echo_of_samples.py").write_text(text)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    return "echo_of_samples"
+
+
 def test_it_follows_the_flight_and_what_is_sent_is_the_same_without_it(tmp_path: Path) -> None:
     plan, sent = replace(plan_of(6.0), rate=50.0), []
     for wanted in (False, True):
@@ -46,8 +61,8 @@ def test_it_follows_the_flight_and_what_is_sent_is_the_same_without_it(tmp_path:
     assert beside.words.startswith("x ")
 
 
-def test_alarms_become_events_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    beside = Beside(FAR, asked_of(plan_of().card))
+def test_alarms_become_events_of_the_recording(echo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    beside = Beside(echo, {})
     monkeypatch.setattr(beside, "news", iter([iter(["ALARM x: payload: because"]), *[iter([])] * 99]).__next__)
     recorder = record(tmp_path / "flight.mcap", {}, beside)
     recorder.command(5, (0.1, 0.0, 0.0, 0.0))
@@ -75,17 +90,8 @@ def test_a_tracker_that_is_gone_is_never_waited_for() -> None:
     beside.close()
 
 
-def test_samples_arrive_with_the_errors_of_their_stamps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    echo = """
-import json, sys
-from rotorfit.flying.beside import RECORD
-data = sys.stdin.buffer.read().split(b"\\n", 1)[1]
-heard = [RECORD.unpack_from(data, at) for at in range(0, len(data), RECORD.size)]
-print(json.dumps({"time": 0.0, "words": "", "summary": json.dumps(heard), "alarms": [], "gains": []}))
-"""
-    (tmp_path / "echo_of_samples.py").write_text(echo)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
-    beside = Beside("echo_of_samples", {}, paced=True)
+def test_samples_arrive_with_the_errors_of_their_stamps(echo: str) -> None:
+    beside = Beside(echo, {}, paced=True)
     beside.take(Sample("pose", 1, 2, (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0), error=0.03))
     beside.take(Sample("obeys", 3, 4, (1.0,)))
     beside.close()
