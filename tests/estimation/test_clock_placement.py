@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flights import steps
+from flights import fit_as_flown, steps
 from rotorfit.assessment.innovations import placed, residual_tests_of_flight
 from rotorfit.assessment.validation import validate
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
+from rotorfit.core.laws import AVERAGED
+from rotorfit.core.model import Model
 from rotorfit.core.results import Fit
 from rotorfit.estimation.clock_placement import placed_alike
 from rotorfit.estimation.fitting import fit
@@ -42,12 +44,30 @@ def read(day: int, clock: str = "two") -> Flight:
 @functools.cache
 def alone() -> Fit:
     """A fit of the first day."""
-    return fit([read(0)])
+    return fit_as_flown([read(0)])
 
 
-def misplaced() -> Flight:
-    """The second day, placed worse than the worst of a hundred."""
-    return with_later_commands(read(1), WRONG, "no other flight")
+@functools.cache
+def exact() -> Model:
+    """A fit of the first day as recorded by one clock."""
+    return fit_as_flown([read(0, "one")]).model
+
+
+def misplaced(late: float = WRONG) -> Flight:
+    """The second day, placed wrong; unless told otherwise, worse than the worst of a hundred."""
+    return with_later_commands(read(1), late, "no other flight")
+
+
+@functools.cache
+def moved(late: float = 0.0) -> Flight:
+    """The second day, placed wrong or not, where the model of the first day places it."""
+    return placed(alone().model, misplaced(late) if late else read(1))
+
+
+def rmse(flight: Flight) -> list[float]:
+    """Errors of the velocity of each axis 1 s ahead, by the model of the first day."""
+    axes = validate(alone().model, [flight]).flights[0].axes
+    return [axes[axis].horizons["1"].velocity_rmse or np.nan for axis in AXES]
 
 
 def offset_errors(flights: list[Flight] | tuple[Flight, ...]) -> list[float]:
@@ -55,8 +75,9 @@ def offset_errors(flights: list[Flight] | tuple[Flight, ...]) -> list[float]:
     return [flight.clocks.offset - offset for flight, offset in zip(flights, OFFSETS, strict=True) if flight.clocks]
 
 
-def test_flights_together_are_placed_alike_and_their_intervals_hold() -> None:
-    result = fit([read(0), misplaced()])
+@pytest.mark.parametrize("structure", ["first_order_delay", pytest.param(AVERAGED, marks=pytest.mark.slow)])
+def test_flights_together_are_placed_alike_and_their_intervals_hold(structure: str) -> None:
+    result = fit([read(0), misplaced()], structure=structure)
     one, other = offset_errors(result.flights)
     assert one == pytest.approx(other, abs=5e-4)
     assert sum("clocks_placed" in {note.code for note in flight.notes} for flight in result.flights) == 2
@@ -73,32 +94,26 @@ def test_flights_together_are_placed_alike_and_their_intervals_hold() -> None:
 
 
 def test_a_flight_is_placed_by_a_model_which_it_does_not_deny_then() -> None:
-    moved = placed(alone().model, misplaced())
-    one, other = offset_errors((read(0), moved))
+    one, other = offset_errors((read(0), moved(WRONG)))
     assert one == pytest.approx(other, abs=2e-3)
-    p = [each.command_p for each in residual_tests_of_flight(alone().model, moved).values()]
+    p = [each.command_p for each in residual_tests_of_flight(alone().model, moved(WRONG)).values()]
     assert len(p) == 4
     assert min(x for x in p if x is not None) > 0.001
-    result = validate(alone().model, [moved])
+    result = validate(alone().model, [moved(WRONG)])
     assert not [one for one in result.findings if one.severity == "warning"]
 
 
 def test_validation_tells_that_such_a_flight_does_not_test_the_delay() -> None:
-    found = validate(alone().model, [placed(alone().model, read(1))]).findings
+    found = validate(alone().model, [moved()]).findings
     (told,) = (one for one in found if one.code == "delay_not_tested")
     assert told.severity == "info"
     assert "relate the clocks of c1.csv+m1.csv" in told.evidence
     assert ": the commands were moved by a further " in told.evidence
-    exact = fit([read(0, "one")]).model
-    assert "delay_not_tested" not in {one.code for one in validate(exact, [read(1, "one")]).findings}
+    assert "delay_not_tested" not in {one.code for one in validate(exact(), [read(1, "one")]).findings}
 
 
 def test_errors_of_the_placement_do_not_count_as_errors_of_the_model() -> None:
-    model = alone().model
-    near, far, raw = (
-        [validate(model, [f]).flights[0].axes[axis].horizons["1"].velocity_rmse or np.nan for axis in AXES]
-        for f in (placed(model, read(1)), placed(model, misplaced()), misplaced())
-    )
+    near, far, raw = (rmse(flight) for flight in (moved(), moved(WRONG), misplaced()))
     assert far == pytest.approx(near, rel=0.02)
     assert np.min(np.divide(raw, near)) > 3
 
@@ -106,8 +121,7 @@ def test_errors_of_the_placement_do_not_count_as_errors_of_the_model() -> None:
 def test_flights_of_one_clock_stay_as_they_are() -> None:
     flights = [read(0, "one"), read(1, "one")]
     assert placed_alike(flights, lambda _some: pytest.fail("nothing is to be estimated")) == flights
-    exact = fit(flights[:1]).model
-    assert placed(exact, flights[1]) is flights[1]
+    assert placed(exact(), flights[1]) is flights[1]
 
 
 def test_a_flight_alone_is_not_moved() -> None:
@@ -116,8 +130,7 @@ def test_a_flight_alone_is_not_moved() -> None:
 
 @pytest.mark.parametrize("late", [-0.19, 0.25])
 def test_a_flight_is_placed_by_a_model_of_one_clock_whose_delay_is_far_from_the_assumed_one(late: float) -> None:
-    moved = placed(alone().model, with_later_commands(read(1), late, "no other flight"))
-    one, other = offset_errors((read(0), moved))
+    one, other = offset_errors((read(0), moved(late)))
     assert one == pytest.approx(other, abs=2e-3)
 
 

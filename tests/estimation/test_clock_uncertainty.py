@@ -27,7 +27,9 @@ def test_a_command_in_a_row_of_poses_may_have_been_sent_a_row_before(tmp_path: P
     """Rows of 25 Hz hold the latest of commands sent at 50 Hz: as stamped, the delay is confidently too short."""
     log, _, card = Csv(simulate_flight(TRUTH, two_sines, 60.0, 1)).write_rows(tmp_path)
     flight = load_flight(parse_log(log), card)
-    told, stamped = (fit_as_flown([f]).model.axes["yaw"] for f in (flight, replace(flight, command_lateness=0.0)))
+    told, stamped = (
+        fit_as_flown([f], axes=("yaw",)).model.axes["yaw"] for f in (flight, replace(flight, command_lateness=0.0))
+    )
     delay, lag = TRUTH.delay[3], TRUTH.delay[3] + 1 / TRUTH.gamma[7]
 
     assert flight.command_lateness == pytest.approx(0.04, rel=0.01)
@@ -57,7 +59,9 @@ def test_a_pose_in_a_later_row_was_measured_up_to_a_row_before(tmp_path: Path) -
     log.pose_time = rows
     path, _, card = log.write(tmp_path)
     flight = load_flight(parse_log(path), card)
-    told, stamped = (fit_as_flown([f]).model.axes["yaw"] for f in (flight, replace(flight, pose_lateness=0.0)))
+    told, stamped = (
+        fit_as_flown([f], axes=("yaw",)).model.axes["yaw"] for f in (flight, replace(flight, pose_lateness=0.0))
+    )
     delay, lag = TRUTH.delay[3], TRUTH.delay[3] + 1 / TRUTH.gamma[7]
 
     assert flight.pose_lateness == pytest.approx(1 / 30, rel=0.01)
@@ -80,7 +84,9 @@ def test_the_vehicle_may_have_held_commands_that_the_log_interpolates(tmp_path: 
     log.command_time, log.command = log.pose_time, command
     path, _, card = log.write_rows(tmp_path)
     flight = load_flight(parse_log(path), card)
-    told, stamped = (fit_as_flown([f]).model.axes["yaw"] for f in (flight, replace(flight, command_lead=0.0)))
+    told, stamped = (
+        fit_as_flown([f], axes=("yaw",)).model.axes["yaw"] for f in (flight, replace(flight, command_lead=0.0))
+    )
 
     assert flight.command_lead == pytest.approx(0.025, rel=0.02)
     (low, high), narrow = told.ci95["delay"], stamped.ci95["delay"]
@@ -93,7 +99,9 @@ def test_stamps_of_a_coarse_clock_are_known_to_its_step(tmp_path: Path) -> None:
     log.pose_time, log.command_time = np.round(log.pose_time, 1), np.round(log.command_time, 1)
     path, _, card = log.write(tmp_path)
     flight = load_flight(parse_log(path), card)
-    told, stamped = (fit_as_flown([f]).model.axes["yaw"] for f in (flight, replace(flight, stamp_step=0.0)))
+    told, stamped = (
+        fit_as_flown([f], axes=("yaw",)).model.axes["yaw"] for f in (flight, replace(flight, stamp_step=0.0))
+    )
 
     assert flight.stamp_step == pytest.approx(0.1)
     (low, high), narrow = told.ci95["delay"], stamped.ci95["delay"]
@@ -111,7 +119,7 @@ def test_what_the_card_states_of_its_stamps_is_in_the_delay(tmp_path: Path) -> N
         flight_from_log(read(log), card_from_mapping({**raw, "pose": {**raw["pose"], "time": time}}, "stated"))
         for time in (late, {**late, "error": 0.03})
     ]
-    blind, told = (fit_as_flown([flight]).model.axes["yaw"] for flight in flights)
+    blind, told = (fit_as_flown([flight], axes=("yaw",)).model.axes["yaw"] for flight in flights)
     true = TRUTH.delay[3]
 
     assert flights[1].shared_error == 0.03
