@@ -171,7 +171,7 @@ def test_an_axis_that_drifts_without_an_alarm_is_told_of_at_the_end(capsys: pyte
     show(track_view(Track(states, (Regime(0.0, 200.0, drifted),))))
 
     said = " ".join(capsys.readouterr().out.split())
-    assert "z: quarters of long flights do not agree, most about the input (p = 3e-09): it drifts, or" in said
+    assert "z: quarters of long flights do not agree, most about the input (p = 3e-09): it drifts, changed" in said
     assert Track(states, (Regime(0.0, 200.0, model({"z": axis()})),)).drifts == ()
 
 

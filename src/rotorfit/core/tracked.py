@@ -440,8 +440,8 @@ class Track:
             if (told := [each for each in one.evidence if each.test in DRIFTING and each.p_value < CERTAIN])
         }
         return tuple(
-            f"{axis}: {each.strength} (p = {each.p_value:.1g}): it drifts, or changed by less than an alarm needs; "
-            "the intervals allow for it"
+            f"{axis}: {each.strength} (p = {each.p_value:.1g}): it drifts, changed by less than an alarm needs, or "
+            "its commands bear wrong stamps; the intervals allow for it"
             for axis, each in worst.items()
         )
 

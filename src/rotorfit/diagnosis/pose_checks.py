@@ -247,36 +247,47 @@ def _leaps(
     when, by = when[kept], by[kept]  # a coordinate that was frozen catches up: told as such
     if not len(when):
         return
-    back = _undone(when, by)
+    undone = _undone(when, by)
+    back, stay = len(undone) // 2, [float(at) for i, at in enumerate(when) if i not in undone]
     largest = float(np.max(np.linalg.norm(by, axis=1)))
     size = f"{100 * largest:.3g} cm" if what == "position" else f"{np.degrees(largest):.3g} degrees"
-    stay = len(when) - 2 * back
     concerned = "all coefficients" if what == "yaw" else "input gain and damping of x, y and z"
     yield Finding(
         "pose_jumps",
         "warning",
         f"the {what} jumps {counted(len(when), 'time')} against its neighbouring motion, by up to {size}, the first "
-        f"time at {when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
+        f"time at {when[0]:.2f} s; {back} come back within {RETURN:g} s, {len(stay)} stay",
         f"jumps are fitted as motion that no command caused: {concerned} come out with wider intervals, and with few "
         "data biased",
-        "check the rigid body's markers for swaps and reflections; "
-        + ("fit with --method robust, which leaves poses out that come back, or " if back else "")
-        + "leave the stretch out by --span",
+        "; ".join(([REMEDY_BACK] if back else []) + [_apart(at) for at in stay[:1]]),
         "yaw" if what == "yaw" else None,
     )
 
 
-def _undone(when: Array, by: Array) -> int:
-    """Number of jumps that are soon followed by one in the opposite direction of about the same size."""
-    count, used = 0, set()
+REMEDY_BACK = (
+    "check the rigid body's markers for swaps and reflections; fit with --method robust, which leaves poses out that "
+    "come back, or leave the stretch out by --span"
+)
+
+
+def _apart(at: float) -> str:
+    """What to do about a jump that stays, the first of them at a time [s]."""
+    return (
+        "a jump that stays is an estimator or a frame that was reset, or markers that were exchanged: fit what was "
+        f"flown before and after it apart, --span :{at:.1f} and --span {at:.1f}:"
+    )
+
+
+def _undone(when: Array, by: Array) -> list[int]:
+    """Jumps that are soon followed by one in the opposite direction of about the same size, and those."""
+    used: list[int] = []
     for i in range(len(when)):
         for j in range(i + 1, len(when)):
             if i in used or j in used or when[j] - when[i] > RETURN:
                 continue
             if np.linalg.norm(by[i] + by[j]) < 0.3 * np.linalg.norm(by[i]):
-                used |= {i, j}
-                count += 1
-    return count
+                used += [i, j]
+    return used
 
 
 def _unit_of_yaw(motion: Motion) -> Iterator[Finding]:

@@ -18,7 +18,7 @@ FASTEST = np.array([40.0, 40.0, 40.0, 8.0])
 REACH = np.array([0.3, 0.3, 0.3, 0.08])
 """Tolerance of every prediction [m, rad]: no sensor is that noisy."""
 
-SUDDEN = np.array([60.0, 60.0, 60.0, 30.0])
+SUDDEN = np.array([60.0, 60.0, 60.0, 20.0])
 """Largest acceleration of a vehicle [m/s^2, rad/s^2]: about the vertical only the drag of its rotors turns it."""
 
 NOISY = 12.0
