@@ -639,7 +639,7 @@ def test_the_verdict_says_how_far_off_in_units_for_people() -> None:
     assert x.sentences[0] == f"Over the first second: off by 2.7 cm/s, and 2.7 cm at the end, 3.9 {held}"
     assert x.sentences[1] == f"Over the first 5 s: off by 19 cm/s, and 19 cm at the end, 10 {held}"
     assert "Tested at up to 0.50 m/s." in x.sentences
-    assert "A command acts after 0.15 s." in x.sentences
+    assert "A command acts after 0.15 s (0.14 to 0.16 s)." in x.sentences
     assert yaw.error == "0.57 deg/s"
     assert "Tested at up to 29 deg/s." in yaw.sentences
 
@@ -720,6 +720,16 @@ def test_accuracy_beside_the_target_is_the_models_own_and_what_is_not_known_miss
 
 def test_a_delay_that_the_law_does_without_is_no_coefficient_to_learn() -> None:
     assert set(beside_target(replace(known_axis("x"), structure="first_order"))) == {"input", "damping"}
+
+
+def test_delays_that_only_stamps_leave_unknown_ask_for_stamps_and_no_flight() -> None:
+    model = vague_model()
+    axes = {n: replace(one, ci95={**one.ci95, "delay": (0.13, 0.17)}) for n, one in model.axes.items()}
+    (flown,) = steps_of(replace(model, axes=axes))
+    assert flown.command
+    rows = Finding("commands_by_row", "info", "each row holds a command and a pose", "too short", "log commands apart")
+    (step,) = steps_of(replace(model, axes=axes, findings=(rows,)))
+    assert (step.what, step.command) == ("Log commands apart.", "")
 
 
 def steps_of(model: Model, *tests: dict[str, ResidualTests]) -> tuple[Step, ...]:

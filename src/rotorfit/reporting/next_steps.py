@@ -104,12 +104,19 @@ def _proof(case: Case, uses: Sequence[Use]) -> list[Step]:
     return steps
 
 
+STAMPS = ("commands_by_row", "repeated_commands", "commands_interpolated")
+"""Findings of commands that do not bear their own stamps: what delays owe to them no flight of this logger tells."""
+
+
 def _vague(case: Case, known: Sequence[str], planned: Sequence[str]) -> list[Step]:
     """A flight for the axes with a coefficient that misses its target; none where no flight would tell it."""
     if not maximises_likelihood(case.model.method):
         return []
     shares = {axis: _flyable(case.model.axes[axis]) for axis in known}
     missed = [axis for axis in known if max(shares[axis].values(), default=0.0) > 1]
+    late = next((finding for finding in case.model.findings if finding.code in STAMPS), None)
+    if late and missed and all(_only_delays(shares[axis]) for axis in missed):
+        return [Step(sentences([late.remedy])[0], f"Delays miss their target: {sentences([late.evidence])[0]}", "")]
     if not missed:
         return []
     group = _worst(case, missed)
@@ -121,6 +128,11 @@ def _vague(case: Case, known: Sequence[str], planned: Sequence[str]) -> list[Ste
         status = case.model.axes[axis].status[name]
         why = f"The {term_of(name)} of {axis} is not known: {STATUS.get(status, status.replace('_', ' '))}."
     return [_flight(case, f"Fly {and_list(group)} once more, and fit with it.", why, group)]
+
+
+def _only_delays(shares: Mapping[str, float]) -> bool:
+    """Whether of the coefficients of an axis that miss their target only the delay does, and is known."""
+    return all(share <= 1 or (name == "delay" and np.isfinite(share)) for name, share in shares.items())
 
 
 def _flyable(axis: Axis) -> Mapping[str, float]:
