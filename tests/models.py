@@ -11,7 +11,7 @@ import numpy as np
 from flights import CARD
 from rotorfit.core.card import Card
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Mode, Model, Predictor, unknown_axis
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Mode, Model, Predictor, Source, unknown_axis
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.simulation.paper_vehicle import GAMMA_B
 
@@ -66,6 +66,12 @@ def model_of(points: Mapping[str, Point] = VEHICLE, card: Card = CARD, error: fl
 def next_fit(points: Mapping[str, Point] = VEHICLE, error: float = 0.02) -> Model:
     """As `model_of`, of a fit of its own: no two fits have the same errors to the last digit."""
     return model_of(points, error=error * (1 + 1e-12 * next(_FITS)))
+
+
+def with_poses(model: Model, *flights: tuple[float, tuple[str, ...]]) -> Model:
+    """The model with flights of so many fresh poses a second, and their axes."""
+    sources = tuple(Source(f"{k}.csv", "0" * 64, (0.0, 30.0), (), axes, (), hz) for k, (hz, axes) in enumerate(flights))
+    return replace(model, flights=sources)
 
 
 def demo_card(limits: str | None = None, name: str | None = None, **channels: str) -> Card:

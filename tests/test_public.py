@@ -72,7 +72,7 @@ FUNCTIONS: dict[str, str] = {
     "studio": "(folder=None, port=0, ready=None)",
     "track": "(flight, card=None, *, structure='averaged', false_alarms_per_hour=0.1, after=None, progress=None)",
     "tune": (
-        "(model, design='predictor', *, path=None, rate=50.0, latency=0.015, axes=('x', 'y', 'z', 'yaw'), "
+        "(model, design='predictor', *, path=None, rate=None, latency=0.015, axes=('x', 'y', 'z', 'yaw'), "
         "peak=1.7, draws=200, seed=0)"
     ),
     "validate": "(model, flights, horizons=None, *, card=None, progress=None)",

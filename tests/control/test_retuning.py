@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from models import VEHICLE, Point, next_fit
+from models import VEHICLE, Point, next_fit, with_poses
 from rotorfit.control.loop_vehicle import LaggedAxis
 from rotorfit.control.margins import margins
 from rotorfit.control.retuning import FASTER, Flown, Retuned, Retuning
@@ -44,6 +44,15 @@ def test_the_first_gains_come_when_a_second_fit_says_the_same() -> None:
     (found,) = looks(retuning, of_x())
     assert found.tuning.axes["x"].law == tune(of_x(), axes=("x",)).axes["x"].law
     assert "settled" in found.why["x"]
+
+
+def test_where_no_rate_is_given_it_is_that_of_the_poses_of_the_flight_and_stays() -> None:
+    retuning = Retuning()
+    (first,) = looks(retuning, *(with_poses(of_x(error=0.2), (10.0, ("x",))) for _ in range(2)))
+    (better,) = looks(retuning, *(with_poses(of_x(error=0.005), (30.0, ("x",))) for _ in range(3)))
+
+    assert [found.tuning.rate for found in (first, better)] == [10.0, 10.0]
+    assert "10 fresh poses a second" in first.tuning.note
 
 
 def test_a_new_fit_of_another_axis_is_no_new_fit_of_this_one() -> None:

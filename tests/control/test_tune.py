@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from test_robustness import without_delays
 
-from models import VEHICLE, model_of
+from models import VEHICLE, model_of, with_poses
 from rotorfit.control.control_law import KINDS, Kind
 from rotorfit.control.margins import margins
 from rotorfit.control.robustness import believed_possible
 from rotorfit.control.tuning import DELAY_SHARE, PEAK, RESTLESS, tune
 from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import Finding, Severity
+from rotorfit.core.frames import AXES
 from rotorfit.core.model import Combination, Plain, first_order
 
 pytestmark = pytest.mark.flights
@@ -50,6 +51,26 @@ def test_gains_of_another_law_tell_where_it_contradicts_what_the_model_knows() -
     assert f"steady gain of that law is {g / b:.3g}, of the model {0.75 * g / b:.3g}" in apart.note
     assert "the command is 25 % too small until d" in apart.note
     assert "total lag" not in apart.note  # 5.7 s, in an interval that is open there
+
+
+def test_gains_are_for_as_many_commands_as_the_flights_had_poses() -> None:
+    slow, usual = (tune(with_poses(model_of(), (hz, AXES)), axes=("x",)) for hz in (9.97, 46.0))
+
+    assert (slow.rate, usual.rate) == (10.0, 50.0)
+    assert slow.axes["x"].law.period == 0.1
+    assert slow.note.startswith("the model's flights had 10 fresh poses a second")
+    assert "if yours gets more poses, give --rate" in slow.note
+    assert usual.note == tune(model_of(), axes=("x",)).note == ""
+
+
+def test_more_commands_than_poses_are_tuned_for_as_asked_and_told_of() -> None:
+    model = with_poses(model_of(), (100.0, ("x",)), (30.0, ("y",)))
+    fast, asked = (tune(model, axes=(axis,), rate=80.0, draws=20) for axis in ("x", "y"))
+
+    assert (fast.note, asked.rate) == ("", 80.0)
+    assert "30 fresh poses a second" in asked.note
+    assert "gets 80, one for each command: if yours gets as few as those flights, give --rate 30" in asked.note
+    assert "give --rate" not in tune(with_poses(model, (3.0, ("y",))), axes=("y",), draws=20).note
 
 
 @pytest.mark.parametrize("kind", KINDS)

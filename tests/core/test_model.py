@@ -55,6 +55,7 @@ def test_a_model_survives_the_way_to_a_file_and_back(tmp_path: Path) -> None:
     for name in ("structure", "method", "axes", "covariance_names", "paper", "findings", "flights", "card", "rotorfit"):
         assert getattr(again, name) == getattr(fitted(), name), name
     np.testing.assert_array_equal(again.covariance, fitted().covariance)
+    assert again.flights[0].pose_rate == pytest.approx(0.92 * 120, rel=0.05)  # without the stale ones
 
 
 def test_the_file_is_plain_json_without_nan_in_the_form_of_the_contract(tmp_path: Path) -> None:
@@ -108,6 +109,7 @@ def damaged(change: Any) -> dict[str, Any]:
         lambda raw: raw["covariance"]["matrix"].pop(),
         lambda raw: raw.update(findings=[{"code": "x"}]),
         lambda raw: raw.update(flights=[{}]),
+        lambda raw: raw["flights"][0].update(pose_rate=0.0),
         lambda raw: raw.update(paper=None),
     ],
 )

@@ -155,6 +155,16 @@ def test_a_gap_in_the_pose_does_not_split() -> None:
     assert len(flight.segments) == 1
 
 
+def test_the_rate_of_the_poses_counts_fresh_ones_while_commands_are_known() -> None:
+    command, pose = commands(period=0.05), poses(period=0.02)
+    held = {name: values if name == "t" else np.repeat(values[::2], 2) for name, values in pose.items()}
+    gap = (command["t"] < 3) | (command["t"] > 6)
+
+    assert flight_of(command, pose).pose_rate == pytest.approx(50.0, rel=0.01)
+    assert flight_of(command, held).pose_rate == pytest.approx(25.0, rel=0.02)
+    assert flight_of({name: values[gap] for name, values in command.items()}, pose).pose_rate == pytest.approx(50, 0.01)
+
+
 def test_a_span_sees_nothing_outside_and_keeps_its_clock() -> None:
     whole, part = flight_of(), flight_of(span=(2.025, 7.0))
 

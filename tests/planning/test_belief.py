@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models import VEHICLE, model_of
+from models import VEHICLE, model_of, with_poses
 from rotorfit.core.card import Prior
 from rotorfit.core.errors import PlanError
 from rotorfit.core.model import weighed
@@ -26,6 +26,8 @@ from rotorfit.planning.belief import (
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
 
 CARD = load_card("rotorfit-demo")
+
+ASSUMED = "120 poses a second are assumed: the model does not tell those of its flights"
 
 
 def errors(belief: Belief) -> dict[str, float]:
@@ -118,7 +120,8 @@ def test_a_model_is_believed_as_far_as_it_goes_and_the_card_beyond() -> None:
     assert errors(belief)["x.input"] == pytest.approx(0.02 * GAMMA_B[0], rel=0.01)
     assert errors(belief)["z.delay"] == DELAY[1]
     assert belief.source == "model m.json"
-    assert belief.notes == ("noise and wind of z, yaw: those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)",)
+    quiet = "noise and wind of z, yaw: those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)"
+    assert belief.notes == (quiet, ASSUMED)
 
 
 def test_a_richer_law_than_the_planned_one_is_told() -> None:
@@ -126,7 +129,41 @@ def test_a_richer_law_than_the_planned_one_is_told() -> None:
     lagged = {axis: replace(model.axes[axis], structure="first_order_delay_lag") for axis in ("x", "z")}
     notes = belief_from_model(replace(model, axes={**model.axes, **lagged}), "m.json").notes
 
-    assert notes == ("x, z: planned for the first-order law with a delay, not for first_order_delay_lag",)
+    assert notes == ("x, z: planned for the first-order law with a delay, not for first_order_delay_lag", ASSUMED)
+
+
+def test_poses_come_as_often_as_in_the_flights_of_the_model() -> None:
+    belief = belief_from_model(with_poses(model_of(), (10.0, ("x", "y"))), "m.json")
+
+    assert (belief.truth.pose_rate, belief.truth.stale_share) == (10.0, 0.0)
+    assert "10 fresh poses a second, as in the model's flights" in belief.notes
+
+
+def test_of_several_flights_the_one_with_the_fewest_poses_counts_if_it_tells_of_a_known_axis() -> None:
+    model = with_poses(model_of({"x": VEHICLE["x"]}), (100.0, ("x",)), (30.0, ("x",)), (8.0, ("yaw",)))
+    belief = belief_from_model(model, "m.json")
+
+    assert belief.truth.pose_rate == 30.0
+    assert "30 fresh poses a second, the fewest, 100 the most, of the model's flights" in belief.notes
+
+
+def test_poses_faster_than_any_that_are_planned_with_survive_the_plain_form() -> None:
+    belief = belief_from_model(with_poses(model_of(), (5000.0, ("x",))), "m.json")
+    assert belief_from_mapping(belief_mapping(belief), "p").truth.pose_rate == belief.truth.pose_rate == 1000.0
+
+
+def test_a_model_of_velocities_alone_does_not_tell_the_noise_of_positions() -> None:
+    model = with_poses(model_of({"x": VEHICLE["x"]}, CARD), (50.0, ("x",)))
+    noise = {"wind_power": 1e-3, "velocity_variance": 1e-4, "wind_damping": 1.0, "wind_overlap": 1.0}
+    x = replace(model.axes["x"], noise={**noise, "trim_variance": 0.01})
+    notes = belief_from_model(replace(model, axes={**model.axes, "x": x}), "m.json").notes
+
+    assert any(note.startswith("x: the model's flights had a velocity and no position") for note in notes)
+    assert notes[-1] == ASSUMED
+
+
+def test_a_belief_from_a_card_says_how_many_poses_it_assumes() -> None:
+    assert "120 poses a second are assumed" in belief_from_card(CARD).notes[-1]
 
 
 def test_errors_of_several_laws_are_those_of_the_intervals() -> None:
@@ -150,10 +187,10 @@ def test_of_what_a_model_knows_no_note_of_its_card_is_left() -> None:
     unlimited = replace(bare, name="a drone that nobody has published", raw={})
 
     assert len(belief_from_card(bare).notes) > 1
-    assert belief_from_model(model_of(VEHICLE, bare), "m.json").notes == ()
-    assert belief_from_model(model_of(VEHICLE, unlimited), "m.json").notes == ()
+    assert belief_from_model(model_of(VEHICLE, bare), "m.json").notes == (ASSUMED,)
+    assert belief_from_model(model_of(VEHICLE, unlimited), "m.json").notes == (ASSUMED,)
     half = belief_from_model(model_of({axis: VEHICLE[axis] for axis in ("x", "y")}, unlimited), "m.json")
-    assert [note.split(":")[0] for note in half.notes[-1:]] == ["noise and wind of z, yaw"]
+    assert [note.split(":")[0] for note in half.notes[-2:-1]] == ["noise and wind of z, yaw"]
     assert all("of 1 on x " not in note and "of 1 on y " not in note for note in half.notes)
 
 

@@ -232,7 +232,7 @@ def tune(
     design: Kind = "predictor",
     *,
     path: FilePath | None = None,
-    rate: float = 50.0,
+    rate: float | None = None,
     latency: float = 0.015,
     axes: str | Sequence[str] = AXES,
     peak: float = 1.7,
@@ -245,7 +245,8 @@ def tune(
         model: A model, a fit, or a model file.
         design: `predictor`, `lqr` or `linearising`.
         path: Path of the gains file to write, `.toml` or `.yaml`; None writes nothing.
-        rate: Command rate, 5 to 500 [1/s].
+        rate: Command rate, 5 to 500, with a fresh pose for each command [1/s]; None is 50, or that of the poses of the
+            model's flights where these were fewer.
         latency: Time from the exposure of a pose to the command that uses it, 0 to 0.5 [s].
         axes: Axes to tune.
         peak: Highest peak of the sensitivity for 95 % of the vehicles drawn, 1.2 to 3.
@@ -265,7 +266,7 @@ def tune(
 
     known = as_model(model)
     made = tuning.tune(
-        known, cast("Kind", as_word(design, "design")), rate=as_number(rate, "a rate"),
+        known, cast("Kind", as_word(design, "design")), rate=None if rate is None else as_number(rate, "a rate"),
         latency=as_number(latency, "a latency"), axes=as_axes(axes), peak=as_number(peak, "a peak"),
         draws=as_whole(draws, "a count of draws"), seed=as_whole(seed, "a seed"),
     )  # fmt: skip

@@ -34,7 +34,7 @@ from scipy.special import chdtr
 
 from rotorfit.control.control_law import AxisLaw, Kind
 from rotorfit.control.robustness import believed_possible, doubt, share_beyond
-from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, RATE, AxisTuning, Tuning, tune
+from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, AxisTuning, Tuning, rate_note, rate_of, tune
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import (
@@ -110,7 +110,7 @@ class Retuning:
 
     Args:
         kind: Design of the gains.
-        rate: Command rate [1/s].
+        rate: Command rate [1/s]; None is `tuning.rate_of` the model at the first new gains.
         latency: Time from the exposure of a pose to the command that uses it [s].
         flown: Axis name to the gains in use; empty if they are unknown.
         before: The model of an earlier flight; None if there is none.
@@ -122,12 +122,12 @@ class Retuning:
     def __init__(
         self,
         kind: Kind = "predictor",
-        rate: float = RATE,
+        rate: float | None = None,
         latency: float = LATENCY,
         flown: Mapping[str, Flown] | None = None,
         before: Model | None = None,
     ) -> None:
-        self._kind, self._rate, self._latency = kind, rate, latency
+        self._kind, self._rate, self._latency, self._asked = kind, rate, latency, rate is not None
         self._flown = dict(flown or {})
         self._fits: dict[str, tuple[Axis, Weighed, Weighed]] = {}
         known = before.axes if before else {}
@@ -172,19 +172,24 @@ class Retuning:
         """
         new: dict[str, AxisTuning] = {}
         why: dict[str, str] = {}
+        rate = self._rate or rate_of(model)
         for axis in (axis for axis in AXES if axis in known or axis in excited):
             belief = self._settled(model, axis, axis in known)
             if belief is None:
                 continue
             believed = _with_law(model, axis, belief)
             self.kept[axis] = NO_GAINS
-            if fresh := self._tuned(believed, axis):
+            if fresh := self._tuned(believed, axis, rate):
                 self.kept[axis] = MAY_STAY
                 reason = self._reason(believed, axis, fresh)
                 if reason:
                     new[axis], why[axis] = fresh, reason
                     self._flown[axis] = Flown(fresh.law, fresh.bandwidth)
-        return Retuned(Tuning(self._kind, self._rate, self._latency, new, {}), why) if new else None
+        if not new:
+            return None
+        self._rate = rate
+        note = rate_note(model, rate, self._asked)
+        return Retuned(Tuning(self._kind, rate, self._latency, new, {}, note), why)
 
     def _settled(self, model: Model, axis: str, known: bool) -> Weighed | None:
         """The belief about an axis, if there is a new fit and it has settled; else None."""
@@ -205,10 +210,10 @@ class Retuning:
         before = self._before.get(axis)
         return now if before is None else _carried_over(before, now, self._carried[axis])
 
-    def _tuned(self, model: Model, axis: str) -> AxisTuning | None:
+    def _tuned(self, model: Model, axis: str, rate: float) -> AxisTuning | None:
         """Gains for an axis; None if none keep the margins."""
         try:
-            return tune(model, self._kind, rate=self._rate, latency=self._latency, axes=(axis,)).axes[axis]
+            return tune(model, self._kind, rate=rate, latency=self._latency, axes=(axis,)).axes[axis]
         except ModelError:
             return None
 
@@ -218,7 +223,7 @@ class Retuning:
         self._anew.discard(axis)
         if flown is None:
             return "the first, as its estimate has settled"
-        vehicles = doubt(believed_possible(model, axis, DRAWS, 0), 1 / self._rate, self._latency, 0)
+        vehicles = doubt(believed_possible(model, axis, DRAWS, 0), flown.law.period, self._latency, 0)
         lost = share_beyond(flown.law, vehicles, LOST, LOST_DELAY * flown.law.reach)
         if lost > (ANEW if anew else PROBABLY):
             since = "the vehicle has changed: " if anew else ""

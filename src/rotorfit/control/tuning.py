@@ -6,7 +6,7 @@ loop. A model that is less certain gets slower gains, and one that is too uncert
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -30,7 +30,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY, structure_named
-from rotorfit.core.model import COEFFICIENTS, MEND, Axis, Model, first_order, unknown_why
+from rotorfit.core.model import COEFFICIENTS, MEND, Axis, Model, first_order, pose_rates, unknown_why
 from rotorfit.core.plain import by_reason
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
@@ -55,7 +55,14 @@ RESTLESS = 0.05
 filter is tried."""
 
 RATE, LATENCY, DRAWS = 50.0, 0.015, 200
-"""Command rate [1/s]; time from the exposure of a pose to the command that uses it [s]; number of vehicles drawn."""
+"""Command rate where poses allow it [1/s]; time from the exposure of a pose to the command that uses it [s]; number of
+vehicles drawn."""
+
+RATES = (5.0, 500.0)
+"""Lowest and highest command rate [1/s]."""
+
+FEWER = 0.9
+"""Poses for each command that still count as one for each: at 50 commands a second they are 1 ms older on average."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,7 @@ class Tuning:
         latency: Time from the exposure of a pose to the command that uses it [s].
         axes: Axis name to its gains and margins.
         refused: Axis name to the reason why it has none.
+        note: What the poses of the model's flights mean for the rate; empty if they came as often as commands.
     """
 
     kind: Kind
@@ -97,13 +105,16 @@ class Tuning:
     latency: float
     axes: Mapping[str, AxisTuning]
     refused: Mapping[str, str]
+    note: str = ""
 
     def __repr__(self) -> str:
-        return "\n".join([text_table(*self._table()), *(f"{axis}: {why}" for axis, why in self.refused.items())])
+        return "\n".join([text_table(*self._table()), *self._said()])
 
     def _repr_html_(self) -> str:
-        why = "".join(f"<p>{axis}: {escape(reason)}</p>" for axis, reason in self.refused.items())
-        return html_table(*self._table()) + why
+        return html_table(*self._table()) + "".join(f"<p>{escape(line)}</p>" for line in self._said())
+
+    def _said(self) -> list[str]:
+        return [*([self.note] if self.note else []), *(f"{axis}: {why}" for axis, why in self.refused.items())]
 
     def _table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
         heads = ("axis", "bandwidth", "stiffness", "rate_gain", "phase margin", "delay margin")
@@ -111,7 +122,7 @@ class Tuning:
         for axis, one in self.axes.items():
             figures = (one.bandwidth, one.law.stiffness, one.law.rate, math.degrees(one.margins.phase))
             rows.append((axis, *map(number, figures), number(one.margins.delay)))
-        loop = f"{self.rate:g} commands a second, poses {self.latency:g} s old"
+        loop = f"{self.rate:g} commands a second, each from a fresh pose {self.latency:g} s old"
         return f"Gains by {self.kind}, {loop} [rad/s, 1/s^2, 1/s, deg, s]", heads, rows
 
 
@@ -119,7 +130,7 @@ def tune(
     model: Model,
     kind: Kind = "predictor",
     *,
-    rate: float = RATE,
+    rate: float | None = None,
     latency: float = LATENCY,
     axes: Sequence[str] = AXES,
     peak: float = PEAK,
@@ -131,7 +142,7 @@ def tune(
     Args:
         model: From a fit.
         kind: `predictor`, `lqr` or `linearising`; see `control_law`.
-        rate: Command rate, 5 to 500 [1/s].
+        rate: Command rate, 5 to 500 [1/s], with a fresh pose for each command. None is `rate_of` the model.
         latency: Time from the exposure of a pose to the command that uses it, 0 to 0.5 [s].
         axes: Axes to tune.
         peak: Highest peak of the sensitivity for 95 % of the vehicles drawn, 1.2 to 3.
@@ -144,6 +155,7 @@ def tune(
     Raises:
         ModelError: No axis can be tuned, or the kind, rate, latency, peak or number of draws is not possible.
     """
+    asked, rate = rate is not None, rate_of(model, axes) if rate is None else rate
     _check(kind, rate, latency, peak, draws)
     tuned: dict[str, AxisTuning] = {}
     refused: dict[str, str] = {}
@@ -164,7 +176,36 @@ def tune(
             tuned[axis] = found
     if not tuned:
         raise ModelError(f"no axis can be tuned: {by_reason(refused)}")
-    return Tuning(kind, rate, latency, tuned, refused)
+    return Tuning(kind, rate, latency, tuned, refused, rate_note(model, rate, asked, axes))
+
+
+def rate_of(model: Model, axes: Collection[str] = AXES) -> float:
+    """The command rate of these axes where none is given [1/s].
+
+    It is `RATE`, or, where they were fewer, that of the fresh poses of the model's flights, to two digits: the margins
+    are of a loop with a fresh pose for each command.
+    """
+    fewest = min(pose_rates(model, axes), default=RATE)
+    return RATE if fewest >= FEWER * RATE else max(RATES[0], float(f"{fewest:.2g}"))
+
+
+def rate_note(model: Model, rate: float, asked: bool, axes: Collection[str] = AXES) -> str:
+    """What the poses of the model's flights mean for gains at a command rate [1/s]; empty if nothing.
+
+    Args:
+        model: The model.
+        rate: The command rate, that of `rate_of` unless it was asked for.
+        asked: Whether it was.
+        axes: The axes of the gains.
+    """
+    fewest = min(pose_rates(model, axes), default=math.inf)
+    seen = f"the model's flights had {fewest:.2g} fresh poses a second, and the margins are of a loop"
+    if fewest < FEWER * rate:
+        remedy = f"give --rate {fewest:.2g}" if fewest >= RATES[0] else "they do not hold"
+        return f"{seen} that gets {rate:g}, one for each command: if yours gets as few as those flights, {remedy}"
+    if asked or rate == RATE:
+        return ""
+    return f"{seen} with as many commands, a fresh pose for each: if yours gets more poses, give --rate"
 
 
 UNDER_WAY = 50.0
@@ -175,7 +216,7 @@ def _check(kind: Kind, rate: float, latency: float, peak: float, draws: int) -> 
     if kind not in KINDS:
         raise ModelError(f"no such design: {kind!r}; designs are {', '.join(KINDS)}")
     for what, value, low, high, unit in (
-        ("rate", rate, 5, 500, " commands a second"),
+        ("rate", rate, *RATES, " commands a second"),
         ("latency", latency, 0, 0.5, " s"),
         ("largest peak of the sensitivity", peak, 1.2, 3, ""),
     ):

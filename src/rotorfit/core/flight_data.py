@@ -289,6 +289,13 @@ class Flight:
         """Total length of the segments [s]."""
         return float(np.sum([segment.end - segment.start for segment in self.segments]))
 
+    @property
+    def pose_rate(self) -> float:
+        """Fresh poses a second, over the segments [Hz]."""
+        first = np.searchsorted(self.pose_time, [segment.start for segment in self.segments])
+        last = np.searchsorted(self.pose_time, [segment.end for segment in self.segments], side="right")
+        return float(np.sum(last - first) / self.duration) if self.duration else 0.0
+
 
 LONGEST_GAP = 1.0
 """Gap in the poses across which nothing is scored or drawn [s]."""

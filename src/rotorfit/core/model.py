@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -357,6 +357,7 @@ class Source:
         notes: Repairs.
         axes: The axes that it was used for.
         landmarks: Some of its poses, by which it is recognised in another file, see `flights.distinct`.
+        pose_rate: Its fresh poses a second [Hz]; None in old files.
     """
 
     path: str
@@ -365,6 +366,7 @@ class Source:
     notes: tuple[Note, ...] = ()
     axes: tuple[str, ...] = ()
     landmarks: tuple[tuple[float, ...], ...] = ()
+    pose_rate: float | None = None
 
 
 @dataclass(frozen=True)
@@ -536,3 +538,18 @@ def first_order(model: Model, axis: str) -> Weighed:
     names = [name for name in COEFFICIENTS if f"{axis}.{name}" in model.covariance_names]
     at = [model.covariance_names.index(f"{axis}.{name}") for name in names]
     return weighed(STRUCTURE, replace(point, extra={}), names, model.covariance[np.ix_(at, at)])
+
+
+def pose_rates(model: Model, axes: Collection[str]) -> tuple[float, ...]:
+    """Fresh poses a second [Hz] of the flights that the axes were fitted to, in ascending order.
+
+    Empty where none of the axes has a position in them, and for files of versions that did not write it.
+    """
+    seen = {axis for axis in axes if not by_velocity_alone(model, axis)}
+    return tuple(sorted(flight.pose_rate for flight in model.flights if flight.pose_rate and seen & {*flight.axes}))
+
+
+def by_velocity_alone(model: Model, axis: str) -> bool:
+    """Whether an axis was fitted to velocities, without positions."""
+    noise = model.axes[axis].noise
+    return "velocity_variance" in noise and "pose_variance" not in noise

@@ -53,7 +53,7 @@ LOOP = "docs/control.md of rotorfit: a loop in Python that reads this file, and 
 
 UNITS: Mapping[str, str] = {
     "command_frame": "frame in which the vehicle takes x and y; the law gives them in `frame`",
-    "rate": "commands a second",
+    "rate": "commands a second, each computed from a fresh pose",
     "latency": "s, from the exposure of a pose to the command that uses it",
     "bandwidth": "rad/s",
     "input": "m/s^2 (yaw: rad/s^2) per unit of the command",
@@ -86,6 +86,7 @@ def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
         "sending": WORLD_COMMANDS if model.card.command_frame == "world" else None,
         "rate": tuning.rate,
         "latency": tuning.latency,
+        "note": tuning.note or None,
         "units": dict(UNITS),
         "axes": {axis: _axis(tuning.axes[axis], command_of(model.card, axis)) for axis in AXES if axis in tuning.axes},
         "refused": dict(tuning.refused),

@@ -119,10 +119,11 @@ def _paper_mapping(model: Model) -> dict[str, Any]:
 
 
 def _source_mapping(source: Source) -> dict[str, Any]:
-    """A flight as plain types; old models have no landmarks."""
+    """A flight as plain types; old models have no landmarks and no rate of the poses."""
     raw = asdict(source)
-    if not source.landmarks:
-        del raw["landmarks"]
+    for name in ("landmarks", "pose_rate"):
+        if not raw[name]:
+            del raw[name]
     return raw
 
 
@@ -229,6 +230,9 @@ def _model(read: _ModelFile, raw: Mapping[str, Any], where: str) -> Model:
         raise ValueError(f"paper.gamma: must be a list of {2 * len(AXES)}")
     for name, noise in read.paper.noise.items():
         _check_noise(noise, ("paper", "noise", name))
+    for i, flight in enumerate(read.flights):
+        if flight.pose_rate is not None and flight.pose_rate <= 0:
+            raise ValueError(f"{place_of(('flights', i, 'pose_rate'))}: must be above 0, not {flight.pose_rate:g}")
     return Model(
         card=card_from_mapping(read.card, where),
         structure=read.structure,

@@ -16,7 +16,18 @@ from rotorfit.core.frames import AXES, POSE_UNITS, Array
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.core.limits import Meaning, expectation, meaning_of
-from rotorfit.core.model import COEFFICIENTS, MEND, NORMAL, STRUCTURE, Axis, Model, Weighed, first_order
+from rotorfit.core.model import (
+    COEFFICIENTS,
+    MEND,
+    NORMAL,
+    STRUCTURE,
+    Axis,
+    Model,
+    Weighed,
+    by_velocity_alone,
+    first_order,
+    pose_rates,
+)
 from rotorfit.simulation.paper_vehicle import Truth
 from rotorfit.simulation.published import PUBLISHED, vehicle_of
 
@@ -40,6 +51,12 @@ UNKNOWN_SHARE = (0.5, 0.7)
 
 QUIET = "those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)"
 """Note where no flight has revealed noise and wind."""
+
+POSES = f"{Truth().pose_rate:g} poses a second"
+"""Assumption where no flight has revealed the rate of the poses."""
+
+MOST_POSES = 1000.0
+"""Most poses a second that are planned with: their jitter is 0.2 ms, and each costs time."""
 
 NAMES = tuple(f"{axis}.{name}" for axis in AXES for name in COEFFICIENTS)
 """Order of the twelve coefficients in a covariance."""
@@ -99,7 +116,8 @@ def belief_from_card(card: Card) -> Belief:
         PlanError: The card does not say what a command reaches, and its vehicle is not known.
     """
     belief = _assembled([_expected(card, axis) for axis in AXES], f"card {card.name}")
-    return _checked(replace(belief, notes=(*belief.notes, f"noise and wind: {QUIET}; a first flight tells more")))
+    note = f"noise and wind: {QUIET}; {POSES} are assumed; a first flight tells more"
+    return _checked(replace(belief, notes=(*belief.notes, note)))
 
 
 def _assembled(parts: Sequence[tuple[Array, Array, str]], source: str) -> Belief:
@@ -166,8 +184,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
     """The belief about a vehicle, its air and its room from a fitted model, completed by the model's card.
 
     It uses the likelihood's own estimates with their covariance, as wide as the intervals where these cover several
-    laws, the levels of the disturbance, and the spread of the trims over the flights. No uncertainty exceeds
-    `UNKNOWN_SHARE`.
+    laws, the levels of the disturbance, the fewest fresh poses a second of its flights, and the spread of the trims
+    over them. No uncertainty exceeds `UNKNOWN_SHARE`.
 
     Args:
         model: From a fit by the likelihood.
@@ -226,6 +244,13 @@ def belief_from_model(model: Model, where: str) -> Belief:
         )
     if levels:
         notes.append(f"noise and wind are those of the model's flights: {', '.join(map(air, levels))}")
+    if alone := [axis for axis in known if by_velocity_alone(model, axis)]:
+        notes.append(
+            f"{', '.join(alone)}: the model's flights had a velocity and no position; the errors after this flight are "
+            f"those of positions, noise and wind {QUIET}"
+        )
+    rates = pose_rates(model, known)
+    notes.append(_told_rate(rates))
     if frozen := frozen_axes(model.findings):
         notes.insert(0, f"{', '.join(frozen)}: {MEND}")
     covariance = _known_covariance(model, values.ravel(), covariance)
@@ -233,7 +258,17 @@ def belief_from_model(model: Model, where: str) -> Belief:
         with_coefficients(rest.truth, values.ravel()),
         wind_sigma=_four(wind), wind_time=_four(time), mocap_noise=_four(noise),
     )  # fmt: skip
+    if rates:
+        truth = replace(truth, pose_rate=min(rates[0], MOST_POSES), stale_share=0.0)
     return _checked(Belief(truth, covariance, _four(sigma), levels, f"model {where}", tuple(notes)))
+
+
+def _told_rate(rates: Sequence[float]) -> str:
+    """The rate of the poses that is planned with, in words, from those of the flights in ascending order."""
+    if not rates:
+        return f"{POSES} are assumed: the model does not tell those of its flights"
+    whose = "as in" if rates[-1] <= 1.1 * rates[0] else f"the fewest, {rates[-1]:.3g} the most, of"
+    return f"{rates[0]:.3g} fresh poses a second, {whose} the model's flights"
 
 
 def _rest(model: Model, known: Sequence[str], where: str) -> Belief:

@@ -91,7 +91,12 @@ def export(
     default="predictor",
     help="The law: state predictor (default), LQR with the delay, or feedback linearisation.",
 )
-@click.option("--rate", type=float, default=50.0, metavar="HZ", help="Command rate; default: 50 Hz.")
+@click.option(
+    "--rate",
+    type=float,
+    metavar="HZ",
+    help="Command rate, each command from a fresh pose; default: 50 Hz, or that of the model's poses if lower.",
+)
 @click.option(
     "--latency", type=float, default=0.015, metavar="S", help="Age of a pose when it is used; default: 0.015 s."
 )
@@ -116,7 +121,7 @@ def export(
 def tune(
     model_path: str,
     design: Any,
-    rate: float,
+    rate: float | None,
     latency: float,
     axes: Any,
     peak: float,

@@ -6,7 +6,7 @@ from typing import Any
 
 from rotorfit.app.workflows import check_destination
 from rotorfit.control.retuning import Flown, Retuned, Retuning
-from rotorfit.control.tuning import LATENCY, RATE
+from rotorfit.control.tuning import LATENCY
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
 from rotorfit.core.tracked import UNMOVED, Tracked, TrackedAxis
@@ -63,7 +63,7 @@ class Regaining:
         self._path, self.listeners, self._kept = path, [listener], kept
         self.published: list[tuple[float, Sequence[str]]] = []
         self._states: Mapping[str, TrackedAxis] = {}
-        self._gains: dict[str, Any] = {"design": "predictor", "rate": RATE, "latency": LATENCY, "axes": {}}
+        self._gains: dict[str, Any] = {"design": "predictor", "rate": None, "latency": LATENCY, "axes": {}}
         if path:
             check_gains_name(path)
             check_destination(path, GAINS_MARK)
@@ -126,7 +126,7 @@ class Regaining:
             self._kept(write_gains(self._gains, self._path, keep=not self.published))
         self.published.append((time, tuple(new)))
         file = str(self._path) if self._path else None
-        loop = {name: mapping[name] for name in ("design", "rate", "latency")}
+        loop = {name: mapping[name] for name in ("design", "rate", "latency", "note")}
         message = {"type": "gains", "time": time, "axes": new, "why": dict(found.why), **loop, "file": file}
         for listener in self.listeners:
             listener(message, now)

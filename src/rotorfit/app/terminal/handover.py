@@ -57,7 +57,9 @@ def export_mapping(made: Export, where: str) -> dict[str, Any]:
 
 def tuning_view(tuning: Tuning, card: Card) -> View:
     """Gains, margins at the estimate and under its covariance, assumptions, refused axes, and what to send."""
-    yield title(f"{tuning.kind}, {tuning.rate:g} commands a second, poses {1000 * tuning.latency:g} ms old")
+    yield title(
+        f"{tuning.kind}, {tuning.rate:g} commands a second, each from a fresh pose {1000 * tuning.latency:g} ms old"
+    )
     yield Text(LAWS[tuning.kind], style="dim")
     observed = any(one.law.observer for one in tuning.axes.values())
     last = ("observer",) if observed else ("integral", "filter")
@@ -84,6 +86,7 @@ def tuning_view(tuning: Tuning, card: Card) -> View:
         f"{DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, % of full scale.",
         style="dim",
     )
+    yield from bullets([tuning.note] if tuning.note else [])
     yield from bullets([f"{axis}: {one.note}" for axis, one in tuning.axes.items() if one.note])
     yield from bullets([f"{axis}: no gains, {why}" for axis, why in tuning.refused.items()])
     yield from bullets([f"{axis}: u is the command{held}" for axis in tuning.axes if (held := recorded_as(card, axis))])
