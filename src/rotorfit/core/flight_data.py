@@ -291,10 +291,15 @@ class Flight:
 
     @property
     def pose_rate(self) -> float:
-        """Fresh poses a second, over the segments [Hz]."""
-        first = np.searchsorted(self.pose_time, [segment.start for segment in self.segments])
-        last = np.searchsorted(self.pose_time, [segment.end for segment in self.segments], side="right")
-        return float(np.sum(last - first) / self.duration) if self.duration else 0.0
+        """Fresh poses a second within the segments, but for gaps longer than `LONGEST_GAP` [Hz]; 0 if there are none.
+
+        In such a gap the vehicle was lost, or it stood still and its poses repeated.
+        """
+        start, end = np.array([(segment.start, segment.end) for segment in self.segments]).reshape(-1, 2).T
+        before, after = self.pose_time[:-1], self.pose_time[1:]
+        k = np.searchsorted(start, before, side="right") - 1
+        step = (after - before)[(k >= 0) & (after <= end[k]) & (after - before <= LONGEST_GAP)]
+        return step.size / float(step.sum()) if step.size else 0.0
 
 
 LONGEST_GAP = 1.0
