@@ -59,7 +59,7 @@ def test_gains_are_for_as_many_commands_as_the_flights_had_poses() -> None:
     assert (slow.rate, usual.rate) == (10.0, 50.0)
     assert slow.axes["x"].law.period == 0.1
     assert slow.note.startswith("the model's flights had 10 fresh poses a second")
-    assert "if yours gets more poses, give --rate" in slow.note
+    assert "if yours gets more poses, tune with its --rate" in slow.note
     assert usual.note == tune(model_of(), axes=("x",)).note == ""
 
 
@@ -69,8 +69,8 @@ def test_more_commands_than_poses_are_tuned_for_as_asked_and_told_of() -> None:
 
     assert (fast.note, asked.rate) == ("", 80.0)
     assert "30 fresh poses a second" in asked.note
-    assert "gets 80, one for each command: if yours gets as few as those flights, give --rate 30" in asked.note
-    assert "give --rate" not in tune(with_poses(model, (3.0, ("y",))), axes=("y",), draws=20).note
+    assert "gets 80, one for each command: if yours gets as few as those flights, tune with --rate 30" in asked.note
+    assert "with --rate" not in tune(with_poses(model, (3.0, ("y",))), axes=("y",), draws=20).note
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -170,8 +170,8 @@ def test_the_rate_of_the_poses_is_that_while_they_come() -> None:
     lost = (pose["t"] > 2) & (pose["t"] < 6)
     stands = {name: values if name == "t" else np.where(lost, values[0], values) for name, values in pose.items()}
 
-    for given in ({name: values[~lost] for name, values in pose.items()}, stands):
-        assert flight_of(pose=given).pose_rate == pytest.approx(50.0, rel=0.01)
+    for seen in ({name: values[~lost] for name, values in pose.items()}, stands):
+        assert flight_of(pose=seen).pose_rate == pytest.approx(50.0, rel=0.01)
 
 
 def test_a_span_sees_nothing_outside_and_keeps_its_clock() -> None:

@@ -201,11 +201,11 @@ def rate_note(model: Model, rate: float, asked: bool, axes: Collection[str] = AX
     fewest = min(pose_rates(model, axes), default=math.inf)
     seen = f"the model's flights had {fewest:.2g} fresh poses a second, and the margins are of a loop"
     if fewest < FEWER * rate:
-        remedy = f"give --rate {fewest:.2g}" if fewest >= RATES[0] else "they do not hold"
+        remedy = f"tune with --rate {fewest:.2g}" if fewest >= RATES[0] else "they do not hold"
         return f"{seen} that gets {rate:g}, one for each command: if yours gets as few as those flights, {remedy}"
     if asked or rate == RATE:
         return ""
-    return f"{seen} with as many commands, a fresh pose for each: if yours gets more poses, give --rate"
+    return f"{seen} with as many commands, a fresh pose for each: if yours gets more poses, tune with its --rate"
 
 
 UNDER_WAY = 50.0

@@ -295,7 +295,9 @@ class Flight:
 
         In such a gap the vehicle was lost, or it stood still and its poses repeated.
         """
-        start, end = np.array([(segment.start, segment.end) for segment in self.segments]).reshape(-1, 2).T
+        if not self.segments:
+            return 0.0
+        start, end = np.array([(segment.start, segment.end) for segment in self.segments]).T
         before, after = self.pose_time[:-1], self.pose_time[1:]
         k = np.searchsorted(start, before, side="right") - 1
         step = (after - before)[(k >= 0) & (after <= end[k]) & (after - before <= LONGEST_GAP)]
