@@ -361,6 +361,14 @@ def test_physical_commands_need_a_card_that_says_what_they_are(model: Model) -> 
         export(replace(model, card=vague), "c", physical=True)
 
 
+def test_the_header_says_what_stamps_leave_unknown_of_the_delays(model: Model) -> None:
+    effect = "delays come out up to 34 ms too short, and their intervals reach 34 ms higher"
+    rows = Finding("commands_by_row", "info", "each row holds a command", effect, "log commands apart")
+
+    assert effect in " ".join(export(replace(model, findings=(rows,)), "numpy").text.split())
+    assert "stamps" not in export(model, "numpy").text.split("Validity", 1)[0]
+
+
 def test_the_c_header_compiles_without_a_warning_and_allocates_nothing(
     run: ModuleType, model: Model, tmp_path: Path
 ) -> None:

@@ -13,6 +13,9 @@ Severity = Literal["info", "warning", "error"]
 DAMAGED = "log_damaged"
 """The finding that is shown before all others: it concerns missing data."""
 
+OTHER_STAMPS = ("commands_by_row", "repeated_commands", "commands_interpolated")
+"""Findings of commands that do not bear their own stamps: what delays owe to them no flight of this logger tells."""
+
 
 @dataclass(frozen=True)
 class Finding:

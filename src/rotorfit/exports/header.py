@@ -4,6 +4,7 @@ import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
+from rotorfit.core.finding import OTHER_STAMPS, Finding
 from rotorfit.core.frames import AXES, POSE_UNITS
 from rotorfit.core.laws import structure_named
 from rotorfit.core.limits import WORLD_COMMANDS
@@ -57,6 +58,7 @@ def header(
         "",
         "Coefficients as estimated, with 95 % intervals, per command of the model file:",
         *(line for axis in subject.axes for line in _coefficients(axis, subject.original.axes[axis])),
+        *(line for said in _of_stamps(subject.original.findings) for line in _wrapped(said, "  ")),
         "",
         "Validity, from the training flights:",
         *(_row(axis, training_of(subject, axis, trained)) for axis in subject.axes),
@@ -114,6 +116,12 @@ def _coefficients(axis: str, known: Axis) -> Iterator[str]:
     for name, value in values.items():
         ends = f" ({_interval(known.ci95[name])})" if name in known.ci95 else ""
         yield _row(axis, f"{name} {value:.5g}{ends} {units[name]}").rstrip()
+
+
+def _of_stamps(findings: Sequence[Finding]) -> Iterator[str]:
+    """What commands that bear other stamps than their own leave unknown of the delays."""
+    for effect in dict.fromkeys(finding.effect for finding in findings if finding.code in OTHER_STAMPS):
+        yield f"of these logs, {effect}."
 
 
 def _interval(ends: Interval) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from rotorfit.assessment.case import Case
 from rotorfit.core.errors import PlanError
+from rotorfit.core.finding import OTHER_STAMPS
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import given_by_law
@@ -104,17 +105,13 @@ def _proof(case: Case, uses: Sequence[Use]) -> list[Step]:
     return steps
 
 
-STAMPS = ("commands_by_row", "repeated_commands", "commands_interpolated")
-"""Findings of commands that do not bear their own stamps: what delays owe to them no flight of this logger tells."""
-
-
 def _vague(case: Case, known: Sequence[str], planned: Sequence[str]) -> list[Step]:
     """A flight for the axes with a coefficient that misses its target; none where no flight would tell it."""
     if not maximises_likelihood(case.model.method):
         return []
     shares = {axis: _flyable(case.model.axes[axis]) for axis in known}
     missed = [axis for axis in known if max(shares[axis].values(), default=0.0) > 1]
-    late = next((finding for finding in case.model.findings if finding.code in STAMPS), None)
+    late = next((finding for finding in case.model.findings if finding.code in OTHER_STAMPS), None)
     if late and missed and all(_only_delays(shares[axis]) for axis in missed):
         return [Step(sentences([late.remedy])[0], f"Delays miss their target: {sentences([late.evidence])[0]}", "")]
     if not missed:
