@@ -15,12 +15,12 @@ from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.laws import STRUCTURES
-from rotorfit.core.model import COEFFICIENTS, Axis
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination
 from rotorfit.core.results import Fit
 from rotorfit.dynamics.other_limits import scaled
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.judgement.cross_check import with_instruments
-from rotorfit.estimation.judgement.judge import _within
+from rotorfit.estimation.judgement.judge import _combination, _within
 from rotorfit.estimation.judgement.refutation import Homogeneity, agreement, cuts, estimates_of_parts
 from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
 from rotorfit.estimation.likelihood.estimand import estimands
@@ -54,6 +54,14 @@ def width(ends: tuple[float | None, float | None]) -> float:
 
 def ratio(axis: Axis, name: str) -> float:
     return width(axis.ci95[name]) / width(axis.ci95_flight[name])
+
+
+def test_the_sum_of_delay_and_lag_is_as_doubtful_as_the_delay_where_the_law_has_no_lag() -> None:
+    judged = {name: SimpleNamespace(ratio=ratio) for name, ratio in (("input", 2.0), ("delay", 5.0))}
+    part = Combination(0.2, (0.19, 0.22))
+
+    assert _combination("delay_plus_lag", part, judged).ci95 == pytest.approx((0.15, 0.3))  # type: ignore[arg-type]
+    assert _combination("input_up", part, judged).ci95 == pytest.approx((0.18, 0.24))  # type: ignore[arg-type]
 
 
 def test_the_vehicles_interval_has_nothing_that_the_parameter_cannot_be() -> None:

@@ -255,12 +255,14 @@ def _statuses(axis: Axis, ends: Mapping[str, Interval], refuted: Sequence[str]) 
 def _combination(name: str, part: Combination, found: Mapping[str, Judged]) -> Combination:
     """A combination with both intervals.
 
-    One that was not judged itself gets the largest widening of what was, delay and total lag apart: they are in none.
+    One that was not judged itself gets the largest widening of what was, delay and total lag apart: they are in none;
+    but for the sum of delay and lag, which `auto` gives beside a law without a lag: the delay is in it.
     """
     if name in found:
         one = found[name]
         return Combination(moved(one.estimand, one.shift), one.vehicle, one.flight)
-    ratios = [one.ratio for other, one in found.items() if other not in ("delay", "total_lag")]
+    apart = ("total_lag",) if name == "delay_plus_lag" else ("delay", "total_lag")
+    ratios = [one.ratio for other, one in found.items() if other not in apart]
     wider, value = max(ratios, default=1.0), part.value
     low, high = (None if end is None else value + wider * (end - value) for end in part.ci95)
     return Combination(value, (low, high), part.ci95)
