@@ -16,6 +16,7 @@ from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import Candidate, Evidence, Mode, Predictor
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood.law_selection import unidentifiable_candidate
 from rotorfit.files.log_span import parse_log
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Controller, Truth
@@ -288,6 +289,32 @@ def test_a_law_that_was_chosen_among_all_is_not_advised_again() -> None:
         for candidates in ((), (tried,)):
             (told,) = law_findings("z", replace(axis, evidence=(doubt,), status=status, candidates=candidates))
             assert ("fit with --structure auto" in told.remedy) == (not candidates)
+
+
+def test_a_law_that_was_asked_for_and_not_identifiable_was_not_chosen_among_all() -> None:
+    doubt = Evidence("speed", "fast and slow commands give different gains", 1e-4, {"input": 0.1}, False)
+    axis = replace(well().model.axes["z"], evidence=(doubt,), candidates=(unidentifiable_candidate("saturation"),))
+
+    (told,) = law_findings("z", axis)
+    assert "fit with --structure auto" in told.remedy
+
+
+@pytest.mark.parametrize(("criterion", "told"), [(-370.0, True), (-60.0, False)])
+def test_a_law_that_was_rejected_although_it_is_much_likelier_is_a_warning(criterion: float, told: bool) -> None:
+    chosen = Candidate("first_order_lag", 3, 10.0, -20.0, 0.1, 0.5, "first_order_delay", None, None, "preferred", True)
+    verdict = "rejected: it predicts worse"
+    both = Candidate(
+        "first_order_delay_lag", 4, 200.0, -20.0 + criterion, 0.1, 0.6, chosen.structure, None, None, verdict, False
+    )
+    findings = found(changed(well(), candidates=(chosen, both)))
+
+    assert (("likelier_law_rejected", "z") in findings) == told
+    if told:
+        one = findings["likelier_law_rejected", "z"]
+        assert one.severity == "warning"
+        assert "the criterion is lower by 370" in one.evidence
+        assert "first_order_delay_lag was rejected: it predicts worse" in one.evidence
+        assert one.remedy.startswith("fit with --structure first_order_delay_lag, too")
 
 
 def test_a_damping_that_hangs_on_an_open_delay_says_so() -> None:

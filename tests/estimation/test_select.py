@@ -15,10 +15,11 @@ from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.assessment.leave_one_out import leave_one_out
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.laws import STRUCTURES
 from rotorfit.core.model import Axis, Model
 from rotorfit.core.physics import physics
 from rotorfit.estimation.fitting import fit
-from rotorfit.estimation.likelihood.law_selection import NEAR, HeldOut, change_of
+from rotorfit.estimation.likelihood.law_selection import FAR, NEAR, HeldOut, _Trial, _verdict, change_of
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth
@@ -159,6 +160,30 @@ def test_the_uncertainty_of_a_change_counts_blocks_and_not_starts() -> None:
         typical.append(abs(change.typical) > change.reach * change.typical_error)
     assert 0.025 < np.mean(total) < 0.08  # 5 % on both sides together
     assert 0.025 < np.mean(typical) < 0.08
+
+
+def tried(name: str, bic: float, near: float, far: float, seed: int = 0) -> _Trial:
+    """A law with errors of this size in a minute's flight, which vary from block to block."""
+    varied = np.exp(np.random.default_rng(seed).standard_normal(12))
+    held_out = HeldOut({NEAR: np.arange(12.0), FAR: np.arange(12.0)}, {NEAR: near * varied, FAR: far * varied})
+    return _Trial(STRUCTURES[name], 0.0, bic, held_out, True, 0.0, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("criterion", "near", "far", "taken"),
+    [(-300.0, 0.5, 0.8, True), (-5.0, 0.5, 0.8, False), (-300.0, 1.5, 0.8, False), (-300.0, 0.5, 3.0, False)],
+)
+def test_a_much_likelier_law_need_not_predict_better_beyond_doubt_but_better_and_not_worse_later(
+    criterion: float, near: float, far: float, taken: bool
+) -> None:
+    """The criterion falls by hundreds on flights too short for predictions to be surely better."""
+    rival = tried("first_order_lag", -100.0, 1.0, 1.0)
+    both = tried("first_order_delay_lag", -100.0 + criterion, near, far, seed=1)
+    change = change_of(both.held_out, rival.held_out, NEAR, 9)
+
+    assert change is not None
+    assert not change.better
+    assert _verdict(both, rival, 9).passed == taken
 
 
 def test_where_too_little_is_held_out_for_a_test_only_very_strong_evidence_counts() -> None:

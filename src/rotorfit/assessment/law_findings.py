@@ -22,16 +22,25 @@ STANDS_OUT = 2.5
 UNLIKE = 1.5
 """Ratio to the median of the other flights above which a condition counts as different."""
 
+MUCH_LIKELIER = 100.0
+"""Decrease of the criterion from which on a law that `auto` rejected is reported.
+
+On recorded flights, whose residuals no law makes quite white, laws that predict worse reach 60."""
+
 QUANTITIES = 4
 """Number of independent quantities of an axis, for the level of a test of the worst of them."""
 
 
 def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
-    """Findings of the tests of an axis's law: the intervals include the doubt, or the law is refuted."""
+    """Findings of the tests of an axis's law, and of the choice among laws.
+
+    The intervals include the doubt, or the law is refuted, or another one was much likelier and was rejected.
+    """
+    yield from _rejected(name, axis)
     if not axis.evidence:
         return
     told = "; ".join(f"{one.strength} (p = {one.p_value:.1g})" for one in axis.evidence)
-    chosen = bool(axis.candidates)  # by `auto`, which would choose it again
+    chosen = any(one.chosen for one in axis.candidates)  # by `auto`, which would choose it again
     refuted = [part for part, status in axis.status.items() if status == "refuted"]
     if refuted:
         stated = "its interval says" if len(refuted) == 1 else "their intervals say"
@@ -53,6 +62,27 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
         f"the intervals of {name} are that much wider, so that they hold for other flights of the vehicle",
         ("" if chosen else "fit with --structure auto; ")
         + "flights with commands of several sizes and speeds show what is missing",
+        name,
+    )
+
+
+def _rejected(name: str, axis: Axis) -> Iterator[Finding]:
+    """The likeliest law that `auto` rejected, if it is much likelier than the one that it chose."""
+    chosen = next((one for one in axis.candidates if one.chosen), None)
+    if chosen is None:
+        return
+    likeliest = min(axis.candidates, key=lambda one: one.bic)
+    if likeliest.bic > chosen.bic - MUCH_LIKELIER:
+        return
+    yield Finding(
+        "likelier_law_rejected",
+        "warning",
+        f"the data of {name} are much likelier under {likeliest.structure} than under {chosen.structure}, which was "
+        f"chosen: the criterion is lower by {chosen.bic - likeliest.bic:.0f}, where 10 is very strong evidence; "
+        f"{likeliest.structure} was {likeliest.verdict}",
+        f"the intervals of {name} hold as far as {chosen.structure} does; what it leaves out may be in them",
+        f"fit with --structure {likeliest.structure}, too, and compare; a longer flight, or several, decides by its "
+        "predictions",
         name,
     )
 

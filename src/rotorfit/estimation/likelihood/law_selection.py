@@ -42,7 +42,7 @@ LEAST_BLOCKS = 4
 """Smallest number of blocks for a standard error; with fewer, predictions are not tested."""
 
 VERY_STRONG = 10.0
-"""Decrease of the criterion that counts as very strong evidence, where too little is held out for a test.
+"""Decrease of the criterion that counts as very strong evidence: predictions need then not be surely better.
 
 Source: R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795, section 3.2.
 """
@@ -255,7 +255,12 @@ class Change:
     @property
     def better(self) -> bool:
         """Whether the errors are significantly smaller, and smaller in total."""
-        return self.typical + self.reach * self.typical_error < 0 and self.total < 0
+        return self.smaller and self.typical + self.reach * self.typical_error < 0
+
+    @property
+    def smaller(self) -> bool:
+        """Whether the errors are smaller, typically and in total, be it by chance."""
+        return self.typical < 0 and self.total < 0
 
     @property
     def no_worse(self) -> bool:
@@ -314,9 +319,10 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     """Whether a trial replaces its rival.
 
     A richer structure, or another one of the same size, must be better by the criterion, significantly better in one
-    kind of prediction, and no worse in either. A simpler one must be better by the criterion and no worse in both. The
-    delay that a structure without one neglects must be known to be small. Since several structures are tried, the
-    significance level is 2.5 % for all of them together (Bonferroni).
+    kind of prediction, and no worse in either. Where the criterion is very strong evidence, smaller errors of the near
+    predictions are enough: the few blocks of a minute's flight show no difference of a quarter. A simpler one must be
+    better by the criterion and no worse in both. The delay that a structure without one neglects must be known to be
+    small. Since several structures are tried, the significance level is 2.5 % for all of them together (Bonferroni).
     """
     near, far = (change_of(trial.held_out, rival.held_out, horizon, tries) for horizon in (NEAR, FAR))
     name, cheaper = rival.structure.name, trial.bic < rival.bic
@@ -325,9 +331,10 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     if near is None or far is None:
         return _on_little(trial, rival)
     simpler = trial.structure.size < rival.structure.size
-    better = near.better or far.better
+    strong = trial.bic < rival.bic - VERY_STRONG and near.smaller
+    better = near.better or far.better or strong
     kept = near.no_worse and far.no_worse
-    numbers = f"squared errors at 1 s {near.words}; at 5 s {far.words}"
+    numbers = f"criterion {trial.bic - rival.bic:+.0f}, squared errors at 1 s {near.words}; at 5 s {far.words}"
     if cheaper and kept and (simpler or better) and trial.neglected <= NEGLIGIBLE_DELAY:
         return _Verdict(trial, rival, True, f"preferred to {name}: {numbers}")
     if trial.neglected > NEGLIGIBLE_DELAY:
