@@ -25,7 +25,7 @@ UNLIKE = 1.5
 MUCH_LIKELIER = 100.0
 """Decrease of the criterion from which on a law that `auto` rejected is reported.
 
-On recorded flights, whose residuals no law makes quite white, laws that predict worse reach 60."""
+On recorded flights, whose residuals no law makes quite white, rejected laws reach 65."""
 
 QUANTITIES = 4
 """Number of independent quantities of an axis, for the level of a test of the worst of them."""
