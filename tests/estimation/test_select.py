@@ -177,13 +177,22 @@ def test_a_much_likelier_law_need_not_predict_better_beyond_doubt_but_better_and
     criterion: float, near: float, far: float, taken: bool
 ) -> None:
     """The criterion falls by hundreds on flights too short for predictions to be surely better."""
-    rival = tried("first_order_lag", -100.0, 1.0, 1.0)
+    rival = tried("first_order_delay", -100.0, 1.0, 1.0)
     both = tried("first_order_delay_lag", -100.0 + criterion, near, far, seed=1)
     change = change_of(both.held_out, rival.held_out, NEAR, 9)
 
     assert change is not None
     assert not change.better
     assert _verdict(both, rival, 9).passed == taken
+
+
+@pytest.mark.parametrize(("rival", "taken"), [("first_order_lag", True), ("first_order_delay", False)])
+def test_a_law_without_a_delay_does_not_stand_against_very_strong_evidence_of_one(rival: str, taken: bool) -> None:
+    """The delay would be told as 0, and the lag as too long, though predictions hardly differ."""
+    without = tried(rival, -100.0, 1.0, 1.0)
+    both = tried("first_order_delay_lag", -140.0, 0.9, 0.9, seed=1)
+
+    assert _verdict(both, without, 9).passed == taken
 
 
 def test_where_too_little_is_held_out_for_a_test_only_very_strong_evidence_counts() -> None:
