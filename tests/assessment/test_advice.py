@@ -280,6 +280,15 @@ def test_a_test_that_widens_the_intervals_of_a_law_is_told_as_a_doubt() -> None:
     assert "fast and slow commands give different gains (p = 0.0001)" in told.evidence
 
 
+def test_a_law_is_not_doubted_before_the_stamps_of_rows() -> None:
+    doubt = Evidence("time", "stretches of time do not agree, most about the delay", 1e-6, {"delay": 0.01}, False)
+    doubted, rows = changed(well(), evidence=(doubt,)), Finding("commands_by_row", "info", "rows", "late", "stamp them")
+    (told,) = (one for one in findings_of_fit(doubted, (rows,)) if one.code == "law_doubted")
+
+    assert told.remedy.startswith("log commands by themselves, each with its own stamp, before you doubt the law")
+    assert not found(doubted)["law_doubted", "z"].remedy.startswith("log")
+
+
 def test_a_law_that_was_chosen_among_all_is_not_advised_again() -> None:
     doubt = Evidence("speed", "fast and slow commands give different gains", 1e-4, {"input": 0.1}, False)
     tried = Candidate("first_order_delay", 3, 0.0, 0.0, None, None, "", None, None, "the baseline", True)

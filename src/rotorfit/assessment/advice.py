@@ -12,7 +12,7 @@ import numpy as np
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
 from rotorfit.assessment.law_findings import disagreement_findings, law_findings
 from rotorfit.assessment.prior_influence import prior_findings
-from rotorfit.core.finding import Finding, by_gravity
+from rotorfit.core.finding import OTHER_STAMPS, Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
@@ -130,6 +130,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found = list(told)
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
+    stamped = {finding.code for finding in told}.isdisjoint(OTHER_STAMPS)
     overturned = any(finding.code == OVERTURNED for finding in found)
     clocked = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
     for k, name in enumerate(AXES):
@@ -146,7 +147,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += _trim_findings(name, axis, flights)
             found += _start_findings(name, axis, flights)
             found += _excitation_findings(name, axis, flights)
-            laws = law_findings(name, axis)  # no other law explains a vehicle that changed
+            laws = law_findings(name, axis, stamped)  # no other law explains a vehicle that changed
             found += (replace(one, remedy=changed[0].remedy) if changed else one for one in laws)
         if axis.predictor and name in fit.estimates and name not in wrong:
             found += _slow_findings(name, k, axis, flights)

@@ -27,14 +27,24 @@ MUCH_LIKELIER = 100.0
 
 On recorded flights, whose residuals no law makes quite white, rejected laws reach 65."""
 
+STAMPS_ALONE = (
+    "log commands by themselves, each with its own stamp, before you doubt the law: those of rows are late by another "
+    "part of a row each time, which alone can look like this; then "
+)
+
 QUANTITIES = 4
 """Number of independent quantities of an axis, for the level of a test of the worst of them."""
 
 
-def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
+def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Finding]:
     """Findings of the tests of an axis's law, and of the choice among laws.
 
     The intervals include the doubt, or the law is refuted, or another one was much likelier and was rejected.
+
+    Args:
+        name: Name of the axis.
+        axis: As fitted.
+        stamped: Whether commands bear their own stamps.
     """
     yield from _rejected(name, axis)
     if not axis.evidence:
@@ -60,7 +70,8 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
         "info",
         f"{name} does not quite obey {axis.structure}: {told}",
         f"the intervals of {name} are that much wider, so that they hold for other flights of the vehicle",
-        ("" if chosen else "fit with --structure auto; ")
+        ("" if stamped else STAMPS_ALONE)
+        + ("" if chosen else "fit with --structure auto; ")
         + "flights with commands of several sizes and speeds show what is missing",
         name,
     )
