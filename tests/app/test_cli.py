@@ -6,6 +6,7 @@ import pty
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from pathlib import Path
 
@@ -168,9 +169,13 @@ def fresh() -> tuple[str, str, set[str]]:
     """A fit in a process of its own: its output, what a terminal showed beside it, what was imported."""
     words = [str(FOLDER / "flight.csv"), "--card", str(FOLDER / "card.toml"), "--axes", "z", *LAW, "--json"]
     reader, writer = pty.openpty()
-    shown, names = imported_by(["fit", *words], stderr=writer)
-    os.close(writer)
-    said = ANSI.sub("", _drained(reader).decode(errors="replace"))
+    with ThreadPoolExecutor(1) as pool:  # a terminal that nobody reads is full after 4 kB, and what writes to it waits
+        draining = pool.submit(_drained, reader)
+        try:
+            shown, names = imported_by(["fit", *words], stderr=writer)
+        finally:
+            os.close(writer)
+        said = ANSI.sub("", draining.result().decode(errors="replace"))
     os.close(reader)
     return shown, said, names
 
