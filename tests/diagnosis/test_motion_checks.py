@@ -6,7 +6,7 @@ import pytest
 from flights import by_hand
 from rotorfit.core.frames import Array
 from rotorfit.diagnosis.motion_checks import explained_share
-from rotorfit.diagnosis.pose_checks import LEAP_FLOORS, leaps
+from rotorfit.diagnosis.pose_checks import LEAP_FLOORS, PEAKS, leaps
 
 
 def band(t: Array, seed: int) -> Array:
@@ -40,13 +40,13 @@ def test_leaps_are_found_where_they_are_with_their_size_and_motion_is_none() -> 
     t = np.arange(0.0, 20.0, 0.01)
     path = np.stack([np.sin(2 * t), np.cos(2 * t), 0.5 * np.sin(5 * t)], axis=1)
     noisy = path + 0.0005 * np.random.default_rng(0).standard_normal(path.shape)
-    assert len(leaps(t, noisy, *LEAP_FLOORS[0])[0]) == 0
+    assert len(leaps(t, noisy, LEAP_FLOORS[0], PEAKS[0])[0]) == 0
 
     noisy[500:520] += [0.1, 0.0, 0.0]
-    when, by = leaps(t, noisy, *LEAP_FLOORS[0])
+    when, by = leaps(t, noisy, LEAP_FLOORS[0], PEAKS[0])
     np.testing.assert_allclose(when, [5.0, 5.2], atol=1e-9)
     np.testing.assert_allclose(by[:, 0], [0.1, -0.1], atol=0.005)
 
 
 def test_a_flight_of_a_few_poses_has_no_leaps() -> None:
-    assert len(leaps(np.arange(10.0), np.ones((10, 3)), *LEAP_FLOORS[0])[0]) == 0
+    assert len(leaps(np.arange(10.0), np.ones((10, 3)), LEAP_FLOORS[0], PEAKS[0])[0]) == 0

@@ -116,6 +116,18 @@ def test_a_single_wild_pose_is_left_out() -> None:
     assert len(flight.segments) == 1
 
 
+@pytest.mark.parametrize("degrees", [4.0, 8.0, 12.0, 40.0])
+def test_a_single_wild_heading_is_no_jump_be_it_seen_or_not(degrees: float) -> None:
+    samples = list(flown())
+    poses = [i for i, one in enumerate(samples) if one.stream == "pose"]
+    for at in poses[1000:4000:150]:
+        (samples[at],) = reset(samples[at : at + 1], 0.0, np.radians(degrees))
+    flight, alarms = grown(samples)
+
+    assert not alarms
+    assert len(flight.segments) == 1
+
+
 def test_what_a_stalled_link_delivers_at_once_is_late_and_no_other_clock() -> None:
     samples, begin, end = flown(), 30 * SECOND, int(32.5 * SECOND)
     first = samples[0].received

@@ -63,7 +63,7 @@ def pose_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on the poses of one flight."""
     flight, motion = recording.flight, recording.motion
     frozen = dict(_frozen_axes(flight))
-    thawed = [end for _, end in frozen.values()]
+    thawed = [at for span in frozen.values() for at in span]
     yield from _leaps("position", flight.pose_time, flight.position, LEAP_FLOORS[0], PEAKS[0], thawed)
     yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], LEAP_FLOORS[1], PEAKS[1], thawed)
     yield from _frozen(flight, frozen)
@@ -242,6 +242,8 @@ def _leaps(
     peak: tuple[float, float],
     thawed: Sequence[float],
 ) -> Iterator[Finding]:
+    new = np.append(True, np.any(np.diff(value, axis=0) != 0, axis=1))  # a value may come less often than its rows
+    time, value = time[new], value[new]
     when, by = leaps(time, value, floor, peak)
     kept = [one > 0 and time[max(one - 1, 0)] not in thawed for one in np.searchsorted(time, when)]
     when, by = when[kept], by[kept]  # a coordinate that was frozen catches up: told as such

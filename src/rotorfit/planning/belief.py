@@ -55,6 +55,9 @@ QUIET = "those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)"
 POSES = f"{Truth().pose_rate:g} poses a second"
 """Assumption where no flight has revealed the rate of the poses."""
 
+FEWEST_POSES = 1.0
+"""Fewest poses a second that are planned with: across longer gaps nothing is fitted."""
+
 MOST_POSES = 1000.0
 """Most poses a second that are planned with: their jitter is 0.2 ms, and each costs time."""
 
@@ -259,7 +262,7 @@ def belief_from_model(model: Model, where: str) -> Belief:
         wind_sigma=_four(wind), wind_time=_four(time), mocap_noise=_four(noise),
     )  # fmt: skip
     if rates:
-        truth = replace(truth, pose_rate=min(rates[0], MOST_POSES), stale_share=0.0)
+        truth = replace(truth, pose_rate=min(max(rates[0], FEWEST_POSES), MOST_POSES), stale_share=0.0)
     return _checked(Belief(truth, covariance, _four(sigma), levels, f"model {where}", tuple(notes)))
 
 

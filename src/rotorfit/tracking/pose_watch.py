@@ -71,6 +71,7 @@ class PoseWatch:
     def __init__(self, jumps: list[float] | None = None) -> None:
         self.jumps, self.frozen = list(jumps or []), False
         self._past: list[tuple[float, Array]] = []
+        self._earlier: list[tuple[float, Array]] = []  # the past without its last pose
         self._waiting: list[tuple[float, Array]] = []
         self._evidence = 0.0
         self._usual, self._period = np.zeros(4), 0.0
@@ -95,6 +96,10 @@ class PoseWatch:
         self._moved(time)
         if self._explained(time, pose, self._past) and not self._nearer_to_waiting(time, pose):
             self._waiting = []
+            self._learn(time, pose)
+            return Seen(((time, pose),))
+        if not self._waiting and self._last_was_wild(time, pose):
+            self._past = self._earlier
             self._learn(time, pose)
             return Seen(((time, pose),))
         return self._judged_again(time, pose)
@@ -124,7 +129,7 @@ class PoseWatch:
             self._waiting.append((time, pose))
         if self._evidence < ENOUGH:
             return Seen(left_out="wild_poses")
-        past, self._past, self._waiting, self._since = self._past, self._waiting, [], None
+        past, self._past, self._earlier, self._waiting, self._since = self._past, self._waiting, [], [], None
         if not past:
             return Seen(tuple(self._past))
         (at, there), (last, before) = self._past[0], past[-1]
@@ -171,13 +176,16 @@ class PoseWatch:
         """Whether a pose continues from those that wait rather than from the past, which allows more as it ages."""
         if not self._waiting:
             return False
-        (first, before), (last, here) = self._past[0], self._past[-1]
-        velocity = (here - before) / (last - first) if last - first >= LEAST else np.zeros(4)
-        past, waiting = (
-            np.max(np.abs(pose - there - velocity * (time - at)) / REACH)
-            for at, there in ((last, here), self._waiting[-1])
-        )
-        return bool(waiting < past)
+        velocity = _velocity(self._past)
+        past, waiting = (_off(time, pose, one, velocity) for one in (self._past[-1], self._waiting[-1]))
+        return waiting < past
+
+    def _last_was_wild(self, time: float, pose: Array) -> bool:
+        """Whether a pose continues from before the last one, which was wild by too little to be seen then."""
+        if not self._earlier:
+            return False
+        past, earlier = (_off(time, pose, one[-1], _velocity(one)) for one in (self._past, self._earlier))
+        return earlier < 0.5 * past and self._explained(time, pose, self._earlier)
 
     def _learn(self, time: float, pose: Array) -> None:
         """Updates the usual deviation, the usual period, and the past poses."""
@@ -187,8 +195,21 @@ class PoseWatch:
             off = np.abs(pose - here - (here - before) / known * since)
             self._usual += SHARE * (np.minimum(off, 3 * self._usual + 0.01) - self._usual)
         self._period += SHARE * (min(since, 2 * self._period + 0.02) - self._period)
+        self._earlier = list(self._past)
         self._past.append((time, pose))
         while len(self._past) > 2 and self._past[1][0] < time - PAST:
             self._past.pop(0)
         if since > PAST:
             self._past = self._past[-1:]
+
+
+def _velocity(past: list[tuple[float, Array]]) -> Array:
+    """Velocity from the first to the last of some poses; 0 where they lie too near to each other."""
+    (first, before), (last, here) = past[0], past[-1]
+    return (here - before) / (last - first) if last - first >= LEAST else np.zeros(4)
+
+
+def _off(time: float, pose: Array, begin: tuple[float, Array], velocity: Array) -> float:
+    """Distance of a pose from where a velocity leads from another, in tolerances."""
+    at, there = begin
+    return float(np.max(np.abs(pose - there - velocity * (time - at)) / REACH))

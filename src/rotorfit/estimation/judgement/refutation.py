@@ -161,7 +161,7 @@ def agreement(parts: Mapping[str, Parts], scale: Callable[[str], float]) -> Mapp
     leader = min(alone, key=lambda name: alone[name].p_value, default=None)
     if leader is None or alone[leader].p_value >= CERTAIN:
         return alone
-    led = {name: _slope(known[leader].apart, one) * alone[leader].sd for name, one in known.items()}
+    led = {name: _slope(known[leader], one) * alone[leader].sd for name, one in known.items()}
     return {name: replace(one, sd=max(one.sd, led[name])) for name, one in alone.items()}
 
 
@@ -171,10 +171,12 @@ def _told(parts: Parts) -> tuple[Array, Array]:
     return parts.apart[told], parts.error[told]
 
 
-def _slope(leader: Array, parts: Parts) -> float:
+def _slope(leader: Parts, parts: Parts) -> float:
     """Change of a quantity for a unit of another one's, from part to part, less what chance gives it; at least 0."""
-    weight = parts.error**-2.0
-    along = leader - weight @ leader / weight.sum()
+    weight = np.where(np.isfinite(leader.error), parts.error**-2.0, 0.0)
+    if np.count_nonzero(weight) < 2:  # both are known of one part at most
+        return 0.0
+    along = leader.apart - weight @ leader.apart / weight.sum()
     power = float(weight @ along**2)
     slope = float(weight @ (along * parts.apart)) / power if power > 0 else 0.0
     return float(np.sqrt(max(slope**2 - 1 / power, 0.0))) if power > 0 else 0.0
