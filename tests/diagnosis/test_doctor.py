@@ -364,6 +364,14 @@ def test_a_heading_that_is_reset_jumps_and_one_that_turns_hard_does_not(tmp_path
     assert first == pytest.approx(20, abs=0.05)
 
 
+def test_a_heading_that_comes_less_often_than_its_rows_does_not_jump(tmp_path: Path) -> None:
+    log = Csv(flown(steps(("yaw",), (0.0, 0.0, 0.0, 1.2), seed=4)))
+    assert np.abs(np.diff(log.pose[:, 3])).max() * 120 > 1.5
+    log.pose[:, 3] = log.pose[np.arange(len(log.pose)) // 12 * 12, 3]
+
+    assert ("pose_jumps", "yaw") not in said("info", *log.write(tmp_path))
+
+
 @pytest.mark.parametrize(
     ("axis", "start", "end", "fitted", "remedy"),
     [
