@@ -144,6 +144,23 @@ def test_an_axis_that_changed_is_watched_anew_and_the_end_says_both_times(capsys
     assert Tracked(9.0, {"yaw": TrackedAxis("not_excited", UNMOVED)}).unwatched == ()
 
 
+def test_an_axis_that_hard_commands_of_others_leave_untested_is_hardly_watched(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    moments = ((11.0, None, 0.9), (12.0, 11.5, 0.3), (13.0, 11.5, 0.6), (14.0, 11.5, 0.6))
+    states = tuple(
+        Tracked(time, {"z": TrackedAxis("known", "known", watched=since, untested=share)})
+        for time, since, share in moments
+    )
+    show(track_view(Track(states, ())))
+    told = "z from 11.5 s on (not in 50% of it: x and y were commanded hard)"
+    assert f"Watched for changes: {told}" in " ".join(capsys.readouterr().out.split())
+
+    hardly = "   13.0 s  z    hardly watched: x and y are commanded hard, 60% of the last 40 s not tested for changes"
+    assert [[str(line) for line in news(*pair)] for pair in pairwise(states)][1:] == [[hardly], []]
+    assert states[-1].blind == "hardly watched, x and y are commanded hard: z"
+
+
 def test_another_law_is_told_when_it_comes_and_once_more_where_it_came_at_the_end(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -93,6 +93,16 @@ def test_an_axis_is_watched_from_the_first_test_that_could_raise_an_alarm_about_
     assert all(one.axes["x"].watched is None for one in track.states if one.time < watched["x"])
 
 
+def test_an_axis_is_not_watched_while_hard_commands_of_x_and_y_leave_it_untested() -> None:
+    track = tracked(flown(STILL, steps(amplitude=(0.6, 0.6, 0.2, 0.2), seed=6), 16.0), "first_order_delay")
+    axes = track.states[-1].axes
+
+    assert axes["x"].untested == 0
+    assert axes["z"].untested > 0.5
+    assert axes["x"].watched is not None
+    assert axes["z"].watched is None
+
+
 def test_a_pose_that_jumps_is_told_and_no_motion_leads_across() -> None:
     whole, undisturbed = known()
     flight = until(whole, 14.0)

@@ -46,6 +46,10 @@ QUANTITIES = ("input", "damping", "delay", "lag", "zero", "steady_gain", "total_
 TIMES = ("delay", "lag", "zero", "total_lag")
 """Quantities in s, which are compared by their difference; the others are compared by their ratio."""
 
+HARDLY, SHOWN = 0.5, 0.05
+"""Share of the time that is not tested for changes from which an axis counts as hardly watched, and from which the end
+of the output gives it."""
+
 RATIOS = ("input", "damping", "lag", "level", "steady_gain")
 """Quantities whose change an alarm gives as a ratio; every other parameter of a law may be zero."""
 
@@ -72,6 +76,7 @@ class TrackedAxis:
             `zero` and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values
             are from this flight.
         watched: Time of the first test since its last change that could have raised an alarm about it [s]; None before.
+        untested: Share of the last 40 s in which it was not tested for changes, since x and y were commanded hard.
     """
 
     knowledge: Knowledge = "learning"
@@ -89,6 +94,7 @@ class TrackedAxis:
     earlier: str = ""
     against: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     watched: float | None = None
+    untested: float = 0.0
 
     def to_mapping(self) -> dict[str, Any]:
         """The state as a line of JSON holds it."""
@@ -107,6 +113,7 @@ class TrackedAxis:
             "from": self.earlier or None,
             "against_earlier": {name: list(three) for name, three in self.against.items()},
             "watched_from": self.watched,
+            "untested": self.untested,
         }
 
 
@@ -336,10 +343,17 @@ class Tracked:
         return tuple(name for name, one in self.axes.items() if one.watched is None and UNMOVED not in one.state)
 
     @property
+    def blind(self) -> str:
+        """The axes about which no alarm, or hardly one, can be raised now, in words; empty if there are none."""
+        hardly = [name for name, one in self.axes.items() if one.watched is not None and one.untested > HARDLY]
+        told = {"not yet watched for changes": self.unwatched, "hardly watched, x and y are commanded hard": hardly}
+        return "; ".join(f"{words}: {', '.join(names)}" for words, names in told.items() if names)
+
+    @property
     def words(self) -> str:
-        """The state of each axis in a few words, and the axes that are not yet watched; empty without axes."""
+        """The state of each axis in a few words, and the axes that are not watched; empty without axes."""
         axes = ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in self.axes.items())
-        return axes + (f"; not yet watched for changes: {', '.join(self.unwatched)}" if self.unwatched else "")
+        return axes + (f"; {self.blind}" if self.blind else "")
 
     def to_mapping(self) -> dict[str, Any]:
         """The state as a line of JSON holds it."""
@@ -455,7 +469,10 @@ class Track:
             if since is not None and (not spans or since != spans[-1][0]):
                 spans.append((since, None))
         told = [f"from {begin:.1f} s {'on' if end is None else f'to {end:.1f} s'}" for begin, end in spans]
-        return " and ".join(told) or "never"
+        every = [one for state in self.states if (one := _at(state, axis)).watched is not None or not told]
+        untested = float(np.mean([one.untested for one in every]))
+        hard = f" (not in {untested:.0%} of it: x and y were commanded hard)" if untested > SHOWN else ""
+        return (" and ".join(told) or "never") + hard
 
     @property
     def axes(self) -> tuple[str, ...]:

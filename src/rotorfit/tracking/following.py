@@ -20,7 +20,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
+from rotorfit.core.tracked import HARDLY, UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.optima import between
@@ -180,6 +180,7 @@ class Following:
         self._told: _Raised | None = None  # the alarm that was revised last
         self._suspected: float | None = None
         self._watched: dict[str, float] = {}
+        self._untested: dict[str, float] = {}
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
         self.next_look = LEAST_TIME
@@ -368,11 +369,12 @@ class Following:
         return self._suspected is not None and now < self._suspected + NEW
 
     def _watch(self, scored: Mapping[tuple[str, ...], Scores], lengths: Sequence[float], now: float) -> None:
-        """Notes the axes about which an alarm can be raised from now on."""
+        """Notes the axes about which an alarm can be raised from now on, and how much of their time is not tested."""
         watched = self._watched_again()
         for names, scores in scored.items():
             axes = {name.partition(".")[0] for name in names}
-            if not axes <= watched.keys() and compares(scores, lengths):
+            self._untested |= dict.fromkeys(axes, scores.untested)
+            if not axes <= watched.keys() and scores.untested < HARDLY and compares(scores, lengths):
                 self._watched = {**self._watched, **dict.fromkeys(axes - watched.keys(), now)}
 
     def _watched_again(self) -> dict[str, float]:
@@ -504,7 +506,9 @@ class Following:
             if fitted and axis in fitted.estimates and structure != law:
                 state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
-        out = TrackedAxis(knowledge, state, watched=self._watched_again().get(axis))
+        out = TrackedAxis(
+            knowledge, state, watched=self._watched_again().get(axis), untested=self._untested.get(axis, 0.0)
+        )
         if fitted and report:
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure

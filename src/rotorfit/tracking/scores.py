@@ -105,6 +105,7 @@ class Scores:
             time constants, shape (T,) [s]: in the unit of the jolts, shape (T, N).
         begun: Gives the sensitivities `tested` to shifts that begin at an instant [s], shape (N, P): the motion goes on
             from the place and velocity that it has then, zero before. That of a delay is its mean over the shift [s].
+        tested_rows: Which rows are tested, shape (N,): not those in which x and y were commanded too hard.
         density: Log-density of each row under gusts as strong as in the regime, and under each of `GUST_POWERS`, up to
             a constant, shape (N, 1 + L).
         under_gusts: The scores under stronger gusts, up to the strongest that the last seconds may have had.
@@ -123,6 +124,7 @@ class Scores:
     jolts: Array
     pushed: Callable[[float, Array], Array]
     begun: Callable[[float, float], Array]
+    tested_rows: Mask
     density: Array
     under_gusts: "tuple[Scores, ...]" = ()
     gusts: int = 0
@@ -152,6 +154,11 @@ class Scores:
     def _of_chunks(self) -> tuple[Array, Array]:
         """Sums of the scores over each chunk, shape (C, P), and the products of `_each`, shape (P, P)."""
         return np.add.reduceat(self._each, self._chunks, axis=0), self._each.T @ self._each
+
+    @property
+    def untested(self) -> float:
+        """Share of the longest window before now, or of the regime, that is not tested."""
+        return 1.0 - float(self.tested_rows[self.time > self.time[-1] - WINDOWS[-1]].mean())
 
     def chunks_before(self, at: int) -> int:
         """Number of chunks that begin before a row."""
@@ -279,7 +286,7 @@ class _Whitened:
             np.array(doubt), columns[:, start + K :],
             partial(_pushed, self._rec, self._estimates[0][1], levels, self._valid),
             partial(_begun, self._rec, self._sensitivity, at, unit, delays, damping, levels, self._valid),
-            self._density,
+            np.repeat(self._valid == 1, K), self._density,
         )  # fmt: skip
 
 

@@ -205,12 +205,11 @@ class RosTopics:
         values = {"time": f"{state.time:.6g}", "regime": str(state.regime + 1)}
         if state.air:
             values |= {"wind speed": f"{state.air.speed:.6g}", "wind direction": f"{state.air.direction:.6g}"}
-        blind = f"not yet watched for changes: {', '.join(state.unwatched)}" if state.unwatched else ""
         if alarm is None:
-            return self._status("vehicle", "OK", blind or "as it began", values)
+            return self._status("vehicle", "OK", state.blind or "as it began", values)
         level = "ERROR" if state.time - alarm.raised <= ALARMING else "WARN"
         text = f"changed at {alarm.since[0]:.1f} to {alarm.since[1]:.1f} s: {alarm.named} on {', '.join(alarm.axes)}"
-        text += f"; {blind}" if blind else ""
+        text += f"; {state.blind}" if state.blind else ""
         values |= {"cause": alarm.cause, "confidence": f"{alarm.confidence:.3g}", "why": alarm.why}
         return self._status("vehicle", level, text, values)
 
@@ -221,7 +220,7 @@ class RosTopics:
             numbers = {"": axis.values.get(quantity), " low": ends[0], " high": ends[1]}
             values |= {f"{quantity}{end}": _text(value) for end, value in numbers.items()}
         values |= {"disturbance": _text(axis.wind), "velocity": _text(axis.velocity), "law": axis.structure}
-        values |= {"watched from": _text(axis.watched)}
+        values |= {"watched from": _text(axis.watched), "untested": _text(axis.untested)}
         return self._status(name, LEVELS[axis.knowledge], axis.state, values)
 
     def _status(self, name: str, level: str, text: str, values: Mapping[str, str]) -> Any:
