@@ -130,6 +130,18 @@ def test_an_unstable_damping_of_the_papers_method_is_an_error_that_says_why() ->
     assert ("damping_unstable", "x") not in beside
 
 
+def test_regressions_say_that_their_intervals_leave_out_their_bias() -> None:
+    flight = flown(NO_STALE, steps(("z",), seed=2), 20.0, 2)
+
+    told = {method: found(fit([flight], method, axes=("z",))) for method in ("paper", "iv")}
+    code = "bias_not_in_interval", None
+    assert told["paper"][code].severity == "warning"
+    assert "omitted delay" in told["paper"][code].evidence
+    assert told["iv"][code].severity == "info"
+    assert "[reference]" in told["iv"][code].evidence
+    assert code not in found(fit([flight], "ml", axes=("z",), structure="first_order_delay"))
+
+
 def test_a_negative_delay_beyond_its_interval_is_about_clocks() -> None:
     flight = flown(replace(NO_STALE, delay=(0.0,) * 4), steps(("z",), seed=2), 40.0, 2)
     late = replace(flight, command_time=flight.command_time + 0.05, segments=(Segment(0.05, flight.segments[0].end),))

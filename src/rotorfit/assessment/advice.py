@@ -27,6 +27,7 @@ from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
 from rotorfit.estimation.likelihood.outliers import outlier_findings
+from rotorfit.estimation.methods import BEST, METHODS, label_of
 from rotorfit.estimation.regression.axes_by_method import NOT_VALID
 from rotorfit.estimation.zero_command import findings_of_braking
 
@@ -158,6 +159,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
                 found += findings_of_braking(name, *fit.braking[name], whole)
         found += _paper_findings(fit, k)
         found += _instrument_findings(name, fit.remarks.get(name, ""))
+    found += _bias_findings(fit.model.method)
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
     found += disagreement_findings(fit)
@@ -501,6 +503,20 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
         "use the model as it is; the paper's coefficients are there for comparison",
         name,
     )
+
+
+def _bias_findings(method: str) -> Iterator[Finding]:
+    bias = METHODS[method].bias
+    if bias:
+        yield Finding(
+            "bias_not_in_interval",
+            "warning" if method == "paper" else "info",
+            f"fitted by {label_of(method)}, which is biased by {bias}",
+            "the 95 % intervals hold the scatter of the method, not this bias: fewer than 95 % of them hold the truth"
+            + (", next to none where a vehicle has a delay" if method == "paper" else ""),
+            f"use --method {BEST}, whose intervals are counted to hold, or see the methods side by side in "
+            "`rotorfit ladder`",
+        )
 
 
 def _instrument_findings(name: str, remark: str) -> Iterator[Finding]:

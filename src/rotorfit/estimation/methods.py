@@ -18,25 +18,29 @@ class Method:
             empty for the likelihood and the paper's regression, which `fit` runs itself.
         likelihood: Whether it maximises the likelihood: only then it has profiles and an accuracy table and accepts
             priors.
+        bias: What biases a regression, which its intervals leave out; empty for the likelihood.
         in_comparison: Whether it is a row of the comparison of methods.
     """
 
     label: str
     estimator: str = ""
     likelihood: bool = False
+    bias: str = ""
     in_comparison: bool = True
 
 
 _REGRESSION = "rotorfit.estimation.regression"
+_FEEDBACK = "feedback, unless the card names the `[reference]` of the controller"
+_NOISE = "noise in the velocity, wind with a memory, feedback"
 
 METHODS: Mapping[str, Method] = {
     "ml": Method("maximum likelihood", likelihood=True),
     "robust": Method("maximum likelihood without outliers", likelihood=True, in_comparison=False),
-    "paper": Method("the paper's regression, without delay"),
-    "svf": Method("least squares with a state-variable filter", f"{_REGRESSION}.least_squares:svf"),
-    "weak": Method("least squares on the weak form", f"{_REGRESSION}.least_squares:weak"),
-    "iv": Method("refined instrumental variables", f"{_REGRESSION}.instrumental_variables:iv"),
-    "oe": Method("output error", f"{_REGRESSION}.output_error:oe"),
+    "paper": Method("the paper's regression, without delay", bias="the omitted delay, noise, wind, feedback"),
+    "svf": Method("least squares with a state-variable filter", f"{_REGRESSION}.least_squares:svf", bias=_NOISE),
+    "weak": Method("least squares on the weak form", f"{_REGRESSION}.least_squares:weak", bias=_NOISE),
+    "iv": Method("refined instrumental variables", f"{_REGRESSION}.instrumental_variables:iv", bias=_FEEDBACK),
+    "oe": Method("output error", f"{_REGRESSION}.output_error:oe", bias="feedback"),
 }
 """Name to estimator, in the order of all lists."""
 
