@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from test_robustness import dragged
 
 from models import VEHICLE, Point, next_fit, with_poses
 from rotorfit.control.loop_vehicle import LaggedAxis
@@ -105,6 +106,17 @@ def test_an_axis_with_a_lag_has_gains_of_the_first_order_law_beside_it_and_margi
     assert (x.margins.peak, x.margins.delay) == pytest.approx((own.peak, own.delay))
     assert abs(own.peak - plain.peak) > 0.01
     assert "margins its own of first_order_delay_lag" in x.note
+
+
+def test_gains_at_hover_of_an_axis_with_quadratic_drag_are_not_those_of_another_vehicle() -> None:
+    """Their damping is far from that of the first-order law beside it."""
+    models = []
+    for k in range(4):  # each is a new fit
+        x = dragged().axes["x"]
+        x = replace(x, stderr={**x.stderr, "input": 0.03 + 1e-12 * k})
+        models.append(replace(dragged(), axes={**dragged().axes, "x": x}))
+
+    assert [found.tuning.axes["x"].law.damping for found in looks(Retuning(), *models)] == pytest.approx([0.3])
 
 
 def test_fits_that_move_by_their_noise_never_make_it_chatter() -> None:

@@ -84,7 +84,7 @@ def test_a_delay_that_nobody_knows_is_that_of_commercial_quadrotors() -> None:
 def test_another_structure_is_tuned_by_its_default_point_and_an_unknown_axis_not_at_all() -> None:
     model = model_of({"x": VEHICLE["x"]})
     plain = Plain(3.0, 0.25, 0.2, {"input": 0.1, "damping": 0.02, "delay": 0.01}, {}, {})
-    other = replace(model.axes["x"], structure="quadratic_drag", plain=plain)
+    other = replace(model.axes["x"], structure="climb_descent", plain=plain)
     model = replace(model, axes={**model.axes, "x": other})
 
     assert known_dynamics(model, "x") == (3.0, 0.25, 0.2)
@@ -93,7 +93,7 @@ def test_another_structure_is_tuned_by_its_default_point_and_an_unknown_axis_not
         known_dynamics(model, "y")
 
 
-@pytest.mark.parametrize("structure", ["first_order", "first_order_lag", "quadratic_drag"])
+@pytest.mark.parametrize("structure", ["first_order", "first_order_lag", "saturation"])
 def test_a_law_without_a_delay_or_margins_of_its_own_promises_those_of_the_first_order_law_with_one(
     structure: str,
 ) -> None:
@@ -101,11 +101,35 @@ def test_a_law_without_a_delay_or_margins_of_its_own_promises_those_of_the_first
     x = model.axes["x"]
     plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
     assert x.predictor is not None
-    point = replace(x.predictor, delay=0.0, extra={"lag": 0.1, "drag_share": 0.5, "reference_speed": 1.0})
+    point = replace(x.predictor, delay=0.0, extra={"lag": 0.1, "level": 0.5})
     other = replace(model, axes={**model.axes, "x": replace(x, structure=structure, predictor=point, plain=plain)})
 
     assert known_vehicle(other, "x") == known_dynamics(model, "x")
     assert believed_possible(other, "x", 20, 3) == believed_possible(model, "x", 20, 3)
+
+
+def dragged(share: float = 0.8) -> Model:
+    """A model of x with much quadratic drag, beside it a first-order law with the damping of the flown speeds."""
+    point, errors = Predictor(3.0, 1.5, 0.1, {"drag_share": share, "reference_speed": 0.5}), (0.03, 0.04, 0.002, 0.05)
+    covariance = np.diag(errors) ** 2
+    covariance[1, 3] = covariance[3, 1] = 0.5 * errors[1] * errors[3]
+    model = known_as(Predictor(2.9, 1.7, 0.1), covariance[:3, :3], {})
+    x = model.axes["x"]
+    plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
+    own = replace(x, structure="quadratic_drag", predictor=point, plain=plain, ci95={"damping": (1.42, 1.58)})
+    names = (*model.covariance_names, "x.drag_share")
+    return replace(model, axes={**model.axes, "x": own}, covariance_names=names, covariance=covariance)
+
+
+def test_quadratic_drag_is_drawn_as_the_damping_at_hover_which_is_the_least() -> None:
+    drawn = np.array(believed_possible(dragged(), "x", 4000, 0))
+
+    slope = np.array([1 - 0.8, -1.5])
+    error = np.sqrt(slope @ dragged().covariance[np.ix_([1, 3], [1, 3])] @ slope)
+    assert known_vehicle(dragged(), "x") == known_dynamics(dragged(), "x") == pytest.approx((3.0, 0.3, 0.1))
+    assert drawn.mean(axis=0) == pytest.approx([3.0, 0.3, 0.1], rel=0.02)
+    assert np.std(drawn[:, 1]) == pytest.approx(error, rel=0.05)
+    assert np.array(believed_possible(dragged(1.0), "x", 400, 0))[:, 1].min() == 0.0  # drag gives no speed
 
 
 def test_a_side_on_which_the_interval_reaches_further_than_the_standard_error_is_drawn_to_its_end() -> None:

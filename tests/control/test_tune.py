@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_robustness import without_delays
+from test_robustness import dragged, without_delays
 
 from models import VEHICLE, model_of, with_poses
 from rotorfit.control.control_law import KINDS, Kind
@@ -15,6 +15,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import Finding, Severity
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Combination, Plain, first_order
+from rotorfit.planning.axis_information import AxisBelief
 
 pytestmark = pytest.mark.flights
 
@@ -38,7 +39,7 @@ def test_gains_of_another_law_tell_where_it_contradicts_what_the_model_knows() -
     model = model_of(error=0.02)
     x, (g, b, _) = model.axes["x"], VEHICLE["x"]
     plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
-    own = replace(x, structure="quadratic_drag", plain=plain)
+    own = replace(x, structure="saturation", plain=plain)
     other = replace(own, combinations={
         "steady_gain": Combination(0.75 * g / b, (0.7 * g / b, 0.8 * g / b)),
         "total_lag": Combination(0.5, (0.4, None)),
@@ -51,6 +52,20 @@ def test_gains_of_another_law_tell_where_it_contradicts_what_the_model_knows() -
     assert f"steady gain of that law is {g / b:.3g}, of the model {0.75 * g / b:.3g}" in apart.note
     assert "the command is 25 % too small until d" in apart.note
     assert "total lag" not in apart.note  # 5.7 s, in an interval that is open there
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gains_of_a_vehicle_with_quadratic_drag_keep_their_promise_from_hover_to_twice_the_flown_speed(
+    kind: Kind,
+) -> None:
+    one = tune(dragged(), kind, axes=("x",), draws=50).axes["x"]
+
+    for speed in (0.0, 0.25, 0.5, 1.0):
+        damping = 1.5 * (1 - 0.8 + 2 * 0.8 * speed / 0.5)  # of the small motion, by the derivative of the drag
+        true = margins(one.law, AxisBelief(3.0, damping, 0.1))
+        assert true.peak <= one.robustness.peak <= PEAK
+        assert true.delay >= one.robustness.delay
+    assert one.note.startswith("gains and margins are those of quadratic_drag at hover")
 
 
 def test_gains_are_for_as_many_commands_as_the_flights_had_poses() -> None:

@@ -3,6 +3,9 @@
     v' = q - b v,  T q' = g u(t - tau) - q                      a lag T of the attitude loop
     T v'' + v' + b v = g (u + Z u')(t - tau)                    second order, with a zero Z
 
+The drag b (1 - m + m |v|/V) v of `quadratic_drag` damps the small motion about a speed v by b (1 - m + 2 m |v|/V). A
+loop has the least margins where a vehicle damps itself least: at hover, by b (1 - m).
+
 Trims and disturbances do not change the stability of a loop and are left out.
 """
 
@@ -41,17 +44,25 @@ class LaggedAxis(NamedTuple):
 
 LoopVehicle = AxisBelief | LaggedAxis
 
+QUADRATIC = 1
+"""`Structure.kicks` of quadratic drag."""
+
 
 def has_own_margins(structure: Structure) -> bool:
-    """Whether the margins of a loop follow from a law: it is linear, moves one axis, and has a delay, as a vehicle has.
+    """Whether the margins of a loop follow from a law: its small motion is linear, on one axis, and has a delay.
 
     A law that was chosen without a delay would promise too much.
     """
-    return has_transfer_function(structure) and structure.delayed
+    return structure.delayed and (has_transfer_function(structure) or structure.kicks == QUADRATIC)
+
+
+def damping_at_hover(point: Predictor) -> float:
+    """Damping of the small motion about hover [1/s]: less than b under quadratic drag."""
+    return point.damping * (1.0 - point.extra.get("drag_share", 0.0))
 
 
 def loop_vehicle(structure: Structure, point: Predictor) -> LoopVehicle | None:
-    """The small motion of an axis; None for a law that `has_own_margins` denies.
+    """The small motion of an axis about hover; None for a law that `has_own_margins` denies.
 
     No vehicle moves before its command: a delay below 0, as where stamps are off, counts as none.
     """
@@ -60,7 +71,7 @@ def loop_vehicle(structure: Structure, point: Predictor) -> LoopVehicle | None:
     extra = {one.place: point.extra[one.name] for one in structure.extras}
     delay = max(point.delay, 0.0)
     if LAG not in extra:
-        return AxisBelief(point.input, point.damping, delay)
+        return AxisBelief(point.input, damping_at_hover(point), delay)
     return LaggedAxis(point.input, point.damping, delay, extra[LAG], extra.get(ZERO, 0.0), structure.order)
 
 

@@ -33,10 +33,12 @@ import numpy as np
 from scipy.special import chdtr
 
 from rotorfit.control.control_law import AxisLaw, Kind
-from rotorfit.control.robustness import believed_possible, doubt, share_beyond
+from rotorfit.control.loop_vehicle import QUADRATIC
+from rotorfit.control.robustness import believed_possible, doubt, known_dynamics, share_beyond
 from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, AxisTuning, Tuning, rate_note, rate_of, tune
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES, Array
+from rotorfit.core.laws import structure_named
 from rotorfit.core.model import (
     COEFFICIENTS,
     NORMAL,
@@ -296,5 +298,8 @@ def _with_law(model: Model, axis: str, law: Weighed) -> Model:
 def _apart(law: AxisLaw, model: Model, axis: str) -> float:
     """Squared distance of the vehicle that a law assumes from the known one, taking both as equally uncertain."""
     mean, covariance = _normal(first_order(model, axis))
+    if structure_named(model.axes[axis].structure).kicks == QUADRATIC:  # gains are those at hover
+        mean = np.array(known_dynamics(model, axis))
+        covariance = np.cov(np.array(believed_possible(model, axis, DRAWS, 0)).T)
     off = np.array([law.input, law.damping, law.delay]) - mean
     return float(off @ np.linalg.solve(2.0 * covariance, off))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.control.control_law import AxisLaw
-from rotorfit.control.loop_vehicle import LoopVehicle, has_own_margins, loop_vehicle
+from rotorfit.control.loop_vehicle import QUADRATIC, LoopVehicle, damping_at_hover, has_own_margins, loop_vehicle
 from rotorfit.control.margins import frequencies, law_response, spectral_radius, vehicle_response
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
@@ -81,7 +81,7 @@ class Doubt:
 
 
 def known_dynamics(model: Model, axis: str) -> AxisBelief:
-    """The axis as a first-order law with a delay: its own law, or the one beside another law.
+    """The axis as a first-order law with a delay: its own law, with quadratic drag about hover, or that beside it.
 
     No vehicle moves before its command: a delay below 0, as where stamps are off, counts as none. So does one that the
     model does not know.
@@ -89,9 +89,10 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
     Raises:
         ModelError: The axis was not excited.
     """
-    law = first_order(model, axis)
+    dragged = structure_named(model.axes[axis].structure).kicks == QUADRATIC
+    law = laws_of_vehicle(model, axis)[0] if dragged else first_order(model, axis)
     point = law.predictor
-    return AxisBelief(point.input, point.damping, max(point.delay, 0.0) if _knows_the_delay(law) else 0.0)
+    return AxisBelief(point.input, damping_at_hover(point), max(point.delay, 0.0) if _knows_the_delay(law) else 0.0)
 
 
 def _knows_the_delay(law: Weighed) -> bool:
@@ -146,6 +147,8 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
     if not all("delay" in law.stderr for law in laws):
         ci95.pop("delay", None)
     reach = _reach(laws, ci95)
+    if structure_named(laws[0].structure).kicks == QUADRATIC:
+        ci95.pop("damping")  # what is drawn is the damping at hover, which may be near 0
     drawn = [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
     possible = [one for one in drawn if not _is_far_out(one, ci95)]
     if len(possible) < LEAST * len(drawn):

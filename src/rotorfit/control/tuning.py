@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 from rotorfit.control.control_law import KINDS, AxisLaw, Kind, law_of_bandwidth, linear_system
-from rotorfit.control.loop_vehicle import LaggedAxis, LoopVehicle, has_own_margins
+from rotorfit.control.loop_vehicle import QUADRATIC, LaggedAxis, LoopVehicle, has_own_margins
 from rotorfit.control.margins import Margins, closed_loop, margins
 from rotorfit.control.robustness import (
     Doubt,
@@ -307,11 +307,18 @@ def _note(model: Model, axis: str, law: AxisLaw, noise: float | None) -> str:
     known = model.axes[axis]
     if axis in frozen_axes(model.findings):
         notes.append(MEND)
-    if known.structure != FIRST_ORDER_DELAY.name:
-        whose = "its own" if has_own_margins(structure_named(known.structure)) else "not those"
-        notes.append(f"gains of the first-order law with a delay, margins {whose} of {known.structure}")
+    structure, beside = structure_named(known.structure), known.plain
+    if structure.kicks == QUADRATIC:
+        beside = None
+        notes.append(
+            f"gains and margins are those of {structure.name} at hover, where it damps least; d, or the integral, "
+            "takes up the drag at speed"
+        )
+    elif structure != FIRST_ORDER_DELAY:
+        whose = "its own" if has_own_margins(structure) else "not those"
+        notes.append(f"gains of the first-order law with a delay, margins {whose} of {structure.name}")
         notes += _beside_the_model(known, law)
-    status = known.plain.status if known.plain and known.structure != FIRST_ORDER_DELAY.name else known.status
+    status = beside.status if beside and structure != FIRST_ORDER_DELAY else known.status
     if unknown := [name for name in COEFFICIENTS[:2] if status[name] != "ok"]:
         said = " and ".join(f"{name} ({status[name].replace('_', ' ')})" for name in unknown)
         notes.append(f"the model does not know {said}: tuned for the values that predict best, with margins for others")
