@@ -148,7 +148,7 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
         ci95.pop("delay", None)
     reach = _reach(laws, ci95)
     if structure_named(laws[0].structure).kicks == QUADRATIC:
-        ci95.pop("damping")  # what is drawn is the damping at hover, which may be near 0
+        ci95.pop("damping", None)  # what is drawn is the damping at hover, which may be near 0
     drawn = [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
     possible = [one for one in drawn if not _is_far_out(one, ci95)]
     if len(possible) < LEAST * len(drawn):
