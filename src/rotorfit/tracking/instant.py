@@ -15,7 +15,6 @@ Biometrika 62 (1975), pp. 407-416, applied to a linear regression with a proper 
 """
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from rotorfit.core.frames import Array
@@ -133,6 +132,8 @@ def unexplained(scores: Scores, shapes: Array) -> tuple[Array, Array]:
 
 def mixture_interval(log: Array, mean: Array, error: Array) -> tuple[float, float]:
     """The 95 % interval of a mixture of normal distributions with some log-weights, all of one shape."""
+    from scipy.optimize import brentq  # most flights end without an alarm
+
     weight = np.exp(log - log.max())
     weight /= weight.sum()
     least, most = float((mean - 6 * error).min()), float((mean + 6 * error).max())
