@@ -1,6 +1,7 @@
 """What the terminal says of paired tests, residuals and flights left out."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from rich.console import Console, RenderableType
 
@@ -69,6 +70,18 @@ def test_several_flights_are_told_apart_and_together_and_a_contradiction_is_name
 
 def test_a_flight_too_short_for_an_error_shows_the_difference_and_why() -> None:
     assert "-1.00 too short" in told(paired_view([paired_of(SHORT)], scores_of("a.bag")))
+
+
+def test_flights_too_short_to_be_pooled_are_counted_by_horizon() -> None:
+    test = paired_of(BETTER, SHORT, pooled=BETTER)
+    x = test.axes["x"]["5"]
+    test = replace(
+        test, axes={**test.axes, "x": {**test.axes["x"], "5": {**x, "position": replace(x["position"], left_out=1)}}}
+    )
+    words = " ".join(told(paired_view([test], scores_of("a.bag", "b.bag"))).split())
+
+    assert "too short for a standard error at 5 s, so not in the difference of all flights: 1 flight (x)" in words
+    assert "at 1 s, so" not in words
 
 
 def test_no_flight_and_no_test_show_nothing() -> None:

@@ -189,6 +189,26 @@ def test_flights_that_were_fitted_or_do_not_move_the_axis_stay_out_of_the_pool()
     assert found["y"]["1"]["velocity"].pooled is None
 
 
+def test_a_short_flight_takes_no_verdict_from_the_others() -> None:
+    rng = np.random.default_rng(12)
+    a = [errors_of(rng.chisquare(1, n)) for n in (60, 90, 8)]
+    b = [errors_of(factor * rng.chisquare(1, n)) for factor, n in ((3, 60), (2, 90), (3, 8))]
+
+    found, long = compared(a, b), compared(a[:2], b[:2])
+    assert real(found.pooled).verdict == "better"
+    assert (found.pooled, found.agreement) == (long.pooled, long.agreement)
+    assert (found.left_out, long.left_out) == (1, 0)
+    assert [each.verdict for each in found.flights if each][2] == "too_short"
+
+
+def test_where_all_flights_are_short_the_pool_is_too_and_none_is_left_out() -> None:
+    rng = np.random.default_rng(13)
+    found = compared(*([errors_of(rng.chisquare(1, 8)) for _ in range(3)] for _ in range(2)))
+
+    assert found.pooled is not None
+    assert (found.pooled.verdict, found.pooled.n, found.left_out) == ("too_short", 24, 0)
+
+
 # Size and power
 
 

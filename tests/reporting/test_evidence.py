@@ -265,6 +265,12 @@ def test_differences_and_delays_are_written_without_powers_of_ten(flight: Flight
     row = paired_rows(replace(validate(known_model(), [flight]), paired=(test,)))[0]
     assert row[4] == "−143 (−182 to −104) cm/s"
 
+    short = replace(paired, flights=(found, None), left_out=1)
+    test = PairedTest("model", "hold", {axis: {"1": {"velocity": short, "position": short}} for axis in AXES})
+    once = validate(known_model(), [flight])
+    pooled = paired_rows(replace(once, flights=once.flights * 2, paired=(test,)))[1]
+    assert pooled[0] == "all that were not fitted, less 1 too short"
+
     line = Line("x", "model", np.array([1.0, 2.0]))
     chart = Chart("profile", "x", "x", "delay [s]", "y", np.array([-1.39e-17, 0.1]), (line,), "", "")
     assert [stop.text for stop in draw_chart(chart, 300, 200).stops] == ["delay 0 s: 1", "delay 0.1 s: 2"]

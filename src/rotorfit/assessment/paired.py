@@ -27,10 +27,10 @@ LEVEL = 0.05
 """A difference is called real below this p-value."""
 
 LEAST_FREEDOM = 1
-"""Degrees of freedom of a flight below which there is no standard error."""
+"""Degrees of freedom of a flight below which it has no standard error, and takes none from flights that have one."""
 
 AGREEMENT_FREEDOM = 2
-"""Degrees of freedom that each flight needs for a test of whether the flights agree."""
+"""Degrees of freedom that a flight needs for the test of whether the flights agree."""
 
 SAME = 1e-9
 """Relative difference of the mean squares below which two predictors differ only by rounding."""
@@ -80,10 +80,12 @@ def _compared(
     k, horizon = AXES.index(axis), float(key)
     losses = [_loss(a[key], b[key], k, what, horizon) for a, b in zip(first, second, strict=True)]
     pool = [loss for loss, axes in zip(losses, counted, strict=True) if loss is not None and axis in axes]
+    known = [loss for loss in pool if loss.freedom >= LEAST_FREEDOM] or pool
     return Paired(
         tuple(None if loss is None else _difference([loss]) for loss in losses),
-        _difference(pool) if pool else None,
-        _agreement(pool),
+        _difference(known) if known else None,
+        _agreement([loss for loss in pool if loss.freedom >= AGREEMENT_FREEDOM]),
+        len(pool) - len(known),
     )
 
 
@@ -159,7 +161,7 @@ def _agreement(losses: Sequence[_Loss]) -> float | None:
 
     F = len(losses)
     variances = np.array([_along(loss, _slope(loss.mean)) for loss in losses])
-    if F < 2 or variances.min() <= 0 or min(loss.freedom for loss in losses) < AGREEMENT_FREEDOM:
+    if F < 2 or variances.min() <= 0:
         return None
     differences = np.array([np.sqrt(loss.mean) @ LESS for loss in losses])
     w, freedom = 1 / variances, np.array([loss.freedom for loss in losses])

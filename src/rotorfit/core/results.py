@@ -292,12 +292,16 @@ class Paired:
     Attributes:
         flights: One per flight; None where one of the two predicts nothing, or fewer than five starts are common.
         pooled: All flights that count, weighted by their number of predictions; None where none counts.
-        agreement: p-value that the difference is the same on all flights that count; None for fewer than two.
+        agreement: p-value that the difference is the same on all flights that count and are long enough for this test;
+            None for fewer than two.
+        left_out: Number of flights that count, but are too short for a standard error beside others that are not: they
+            are not in `pooled`.
     """
 
     flights: tuple[Difference | None, ...]
     pooled: Difference | None
     agreement: float | None
+    left_out: int = 0
 
 
 @dataclass(frozen=True)

@@ -279,8 +279,10 @@ def paired_rows(validation: Validation) -> list[list[str]]:
     for axis in AXES:
         for test in validation.paired:
             for key, both in test.axes[axis].items():
-                for number in range(len(paths) + (len(paths) > 1) if float(key) in HORIZONS else 0):
-                    name = "all that were not fitted" if number == len(paths) else paths[number]
+                short = max(each.left_out for each in both.values())
+                pool = "all that were not fitted" + (f", less {short} too short" if short else "")
+                names = [*paths, pool] if len(paths) > 1 else paths
+                for number, name in enumerate(names if float(key) in HORIZONS else ()):
                     velocity = _difference(_one(both["velocity"], number), *SPEED[axis])
                     position = _difference(_one(both["position"], number), *LENGTH[axis])
                     if (cells := velocity + position) != ["—"] * 4:

@@ -1,7 +1,7 @@
 """Terminal output of a validation: paired tests, residual tests, flights left out, in tables that fit 80 columns."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,6 +64,7 @@ def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]
             yield title(f"Is the difference real? {name}")
             yield out
     yield from _disagreements(tests, columns)
+    yield from bullets(list(_left_out(tests, columns)))
     yield Text(
         "Difference of the RMSE on the same starts [cm/s, cm; yaw deg/s, deg], below 0: the first is better, with its "
         "95 % interval by Student's t: a short flight has few degrees of freedom; the word is the verdict.",
@@ -105,6 +106,18 @@ def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quant
                             f"{what} at {key} s (p = {paired.agreement:.2g} of no more than chance): read them apart"
                         ]
                     )
+
+
+def _left_out(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quantity", str]]) -> Iterator[str]:
+    """How many flights are not in the pooled differences, and of which axes."""
+    for what, key in columns:
+        short = {axis: max(test.axes[axis][key][what].left_out for test in tests) for axis in AXES}
+        for count in sorted({*short.values()} - {0}):
+            axes = ", ".join(axis for axis in AXES if short[axis] == count)
+            yield (
+                f"too short for a standard error at {key} s, so not in the difference of all flights: "
+                f"{count} flight{'s' * (count > 1)} ({axes})"
+            )
 
 
 def bands_view(validation: "Validation") -> View:
