@@ -240,3 +240,15 @@ def test_a_revised_alarm_cannot_be_taken_for_a_new_one(capsys: pytest.CaptureFix
     heads = [line for line in capsys.readouterr().out.splitlines() if "since" in line]
     assert heads[0].startswith("   6.25 s  ALARM z: payload, since")
     assert heads[1].startswith("   7.25 s  REVISED z, yaw: thrust, alarm of 6.25 s, since")
+
+
+def test_a_line_says_that_a_flight_contradicts_the_earlier_model(capsys: pytest.CaptureFixture[str]) -> None:
+    values = {"input": 2.5}
+    then = TrackedAxis("not_identifiable", "not identifiable (until then from a.json)", values, earlier="a.json")
+    now = replace(then, state="not identifiable (contradicts a.json: input)", earlier="", contradicts=("input",))
+    states = [Tracked(time, {"x": replace(one, ci95={"input": (2.4, 2.6)})}) for time, one in ((8.0, then), (9.0, now))]
+    for line in news(*states):
+        show([line])
+
+    assert "9.0 s  x    not identifiable (contradicts a.json: input): input 2.5" in capsys.readouterr().out
+    assert not list(news(states[1], states[1]))

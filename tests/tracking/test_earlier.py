@@ -108,6 +108,35 @@ def test_an_input_told_without_its_damping_is_not_compared() -> None:
     assert {one.name for one in compared(alone, earlier, "x")} == {"x.steady_gain", "x.total_lag"}
 
 
+def test_numbers_that_this_flight_contradicts_are_not_shown() -> None:
+    """It tells the input, but not yet the damping: 1.4 times what the earlier model says, with disjoint intervals."""
+    told = known()[1].states[-1].axes["x"]
+    little = replace(told, state="not identifiable", values={**told.values, "damping": None})
+    earlier = Earlier(scaled(own(), "x", 1.0 / 1.4), NAME)
+    shown = told_after(little, earlier, "x", unlike=False)
+
+    assert (shown.earlier, shown.values) == ("", little.values)
+    assert shown.state == "not identifiable (contradicts model.json: input)"
+    assert shown.to_mapping()["contradicts_earlier"] == ["input"]
+    assert 1.2 < shown.to_mapping()["against_earlier"]["input"][0] < 1.6
+    assert told_after(told, earlier, "x", unlike=False).contradicts == ("input",)
+    assert told_after(little, Earlier(own(), NAME), "x", unlike=False).earlier == NAME
+    other_law = replace(little, structure="first_order")
+    assert told_after(other_law, earlier, "x", unlike=False).earlier == NAME
+    unknown = replace(told, values={**told.values, "input": None, "damping": None})
+    assert told_after(unknown, earlier, "x", unlike=False).earlier == NAME  # its steady gain may be anything yet
+
+
+def test_once_another_vehicle_was_told_no_axis_shows_the_earlier_model() -> None:
+    following = Following(LAW, 0.1, Earlier(own(), NAME))
+    part, now = next(growing(known_flight(), 5.0))
+    assert {one.earlier for one in following.look(part, now).axes.values()} == {NAME}
+    following = Following(LAW, 0.1, Earlier(own(), NAME))
+    following.recall({**following.memory(), "unlike": ["yaw"]})
+
+    assert {one.earlier for one in following.look(part, now).axes.values()} == {""}
+
+
 def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:
     flight = replace(until(known_flight(), 16.0), axes=("x", "y"))
     same, other = (tracked(flight, LAW, 0.1, earlier=Earlier(one, NAME)) for one in (own(), scaled(own(), "x", 1.25)))
@@ -124,7 +153,7 @@ def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() 
     assert low < 0.8 < high
     assert "another vehicle than model.json" in alarm.why
     assert len(other.regimes) == 1
-    later = [state.axes["x"] for state in other.states if state.time > alarm.time]
+    later = [one for state in other.states if state.time >= alarm.time for one in state.axes.values()]
     assert all(one.earlier == "" for one in later)  # it is not what this vehicle was
 
 

@@ -75,6 +75,7 @@ class TrackedAxis:
         against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`,
             `zero` and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values
             are from this flight.
+        contradicts: Names of the quantities in which this flight contradicts the earlier model.
         watched: Time of the first test since its last change that could have raised an alarm about it [s]; None before.
         untested: Share of the last 40 s in which it was not tested for changes, since x and y were commanded hard.
     """
@@ -93,6 +94,7 @@ class TrackedAxis:
     ahead_ci95: Interval = (None, None)
     earlier: str = ""
     against: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    contradicts: tuple[str, ...] = ()
     watched: float | None = None
     untested: float = 0.0
 
@@ -112,6 +114,7 @@ class TrackedAxis:
             "velocity_in_1_s_ci95": list(self.ahead_ci95),
             "from": self.earlier or None,
             "against_earlier": {name: list(three) for name, three in self.against.items()},
+            "contradicts_earlier": list(self.contradicts),
             "watched_from": self.watched,
             "untested": self.untested,
         }

@@ -48,7 +48,7 @@ from rotorfit.tracking.changes import (
     looked_together,
 )
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
-from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
+from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, tells_as_much, told_after
 from rotorfit.tracking.groups import (
     QUIET,
     Group,
@@ -222,7 +222,7 @@ class Following:
         state = self._tracked(flight, now, (alarm,) if alarm else ())
         if self._earlier and not alarm and state.model is not before:
             unlike = self._another_vehicle(state, self._earlier)
-            return replace(state, alarms=(unlike,)) if unlike else state
+            return self._tracked(flight, now, (unlike,)) if unlike else state  # anew, without the earlier numbers
         return state
 
     def memory(self) -> dict[str, Any]:
@@ -408,7 +408,10 @@ class Following:
         axes = {
             axis: one
             for axis, one in state.axes.items()
-            if one.against and axis not in self._changed and axis not in self._unlike
+            if not one.earlier
+            and axis not in self._changed
+            and axis not in self._unlike
+            and tells_as_much(one, earlier, axis)
         }
         every = [unlike for axis, one in axes.items() for unlike in compared(one, earlier, axis)]
         if not every:
@@ -472,7 +475,7 @@ class Following:
         axes |= {axis: replace(one, state=f"{one.state} (so far {HELD})") for axis, one in axes.items() if axis in held}
         if self._earlier:
             axes = {
-                axis: one if axis in self._changed else told_after(one, self._earlier, axis, axis in self._unlike)
+                axis: one if axis in self._changed else told_after(one, self._earlier, axis, bool(self._unlike))
                 for axis, one in axes.items()
             }
         return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, self._as_refitted())

@@ -30,7 +30,8 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
         earlier = before.axes.get(name) if before else None
         new = axis.knowledge != "learning" or axis.earlier if earlier is None else earlier.knowledge != axis.knowledge
         other = earlier is not None and other_law(earlier, axis)
-        if new or other:
+        turned = earlier is not None and _beside(earlier) != _beside(axis)
+        if new or other or turned:
             told = earlier and other and "(law " not in axis.state  # after a change the state itself names both
             law = f" (law {axis.structure}, before {earlier.structure})" if earlier and told else ""
             yield _line(state.time, name, f"{axis.state}{law}{_numbers(axis)}")
@@ -45,6 +46,11 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
         yield _line(state.time, "air", f"{_wind(state.air)}; x and y are now known well enough for it")
     elif given and not state.air:
         yield _line(state.time, "air", "x and y are no longer known well enough for the wind")
+
+
+def _beside(axis: TrackedAxis) -> tuple[bool, bool]:
+    """Whether the numbers of an axis are those of the earlier model, and whether this flight contradicts that."""
+    return bool(axis.earlier), bool(axis.contradicts)
 
 
 def _begun(before: Tracked | None, state: Tracked) -> dict[float, list[str]]:
