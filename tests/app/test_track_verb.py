@@ -52,7 +52,7 @@ def test_a_state_comes_once_a_second_and_the_end_is_last(told: list[dict[str, An
     assert [line["time"] for line in told[:-2]] == [float(second) for second in range(5, 12)]
     assert told[-1]["time"] == told[-2]["time"] == pytest.approx(12.0, abs=0.2)
     assert told[-1]["alarms"] == 0
-    assert told[-1]["regimes"] == [{"start": 0.0, "end": told[-1]["time"]}]
+    assert told[-1]["regimes"] == [{"start": 0.0, "end": told[-1]["time"], "data": [0.0, told[-1]["time"]]}]
     assert told[-1]["models"] == []
     assert told[-1]["report"] is None
 
@@ -167,7 +167,7 @@ def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have
     assert first["state"].endswith("(until then from before.json)")
     assert first["input"] == json.loads(before.read_text())["axes"]["x"]["input"]
     last = told[-2]["axes"]["x"]
-    assert (last["from"], last["state"]) == (None, "known")
+    assert (last["from"], last["state"]) == (None, "known (contradicts before.json: delay)")
     assert last["against_earlier"]["delay"][0] == pytest.approx(0.1, abs=0.02)
     assert {line["cause"] for line in told if line["type"] == "alarm"} == {"another_vehicle"}
     published = [line for line in told if line["type"] == "gains"]

@@ -103,6 +103,19 @@ def test_the_lines_to_type_name_the_last_model_that_there_is(track: Track, fligh
     assert "There is no model to go on with" in timeline_page(track, flight)
 
 
+def test_a_page_says_which_seconds_were_no_longer_remembered(track: Track, flight: Flight) -> None:
+    first = replace(track.regimes[0], model=known_model(), data=(2.0, 17.5), remembered=25.0)
+    page = timeline_page(replace(track, regimes=(first, track.regimes[1])), flight)
+
+    assert "Seconds before 25.0 were no longer remembered at the end: model from 2.0 to 17.5 s." in page
+    assert "fitted to all of the flight that is remembered" in page
+    assert "that no alarm names are fitted to the whole flight" in timeline_page(track, flight)
+    gone = replace(first, model=None, data=None)
+    page = timeline_page(replace(track, regimes=(gone,)), flight)
+    assert "Seconds before 25.0 were no longer remembered at the end: no model." in page
+    assert "Too short, or" not in page
+
+
 def test_a_flight_is_tracked_again_as_it_was(track: Track, flight: Flight) -> None:
     again = ["a.csv@2:9", "--card", "my.toml", "--structure", "first_order"]
     regimes = tuple(replace(one, model=known_model()) for one in track.regimes)

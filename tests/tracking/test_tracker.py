@@ -1,5 +1,6 @@
 """Samples in, states out: the same as from the recorded flight, whatever the order they come in."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -10,9 +11,12 @@ from flights import CARD
 from rotorfit.core.errors import CardError, LogError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
-from rotorfit.core.tracked import Tracked
+from rotorfit.core.tracked import Alarm, Tracked
+from rotorfit.estimation.likelihood.optima import between
+from rotorfit.tracking import growing_flight
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.regimes import regimes_of
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.tracker import Tracker
 from tracked_flights import LAW, known, known_flight
@@ -153,3 +157,37 @@ def test_an_alarm_of_the_pose_is_told_whether_or_not_a_look_falls_on_it(at: floa
         told += [alarm.cause for alarm in tracker.state().alarms] if tracker.state() is not before else []
 
     assert told == ["pose_jumped"]
+
+
+def test_a_regime_that_is_forgotten_has_the_model_of_its_own_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The yaw's gain is three times as large from 15 s on; at the end, 30 s, nothing before is remembered."""
+    monkeypatch.setattr(growing_flight, "KEPT", 15.0)
+    tracker = Tracker(CARD, LAW, origin=0)
+    for one in samples_of(known_flight(), 30.0):
+        *others, yaw = one.values
+        more = one.stream == "command" and one.stamp > 15e9
+        tracker.update(replace(one, values=(*others, 3.0 * yaw)) if more else one)
+    _, (first, last) = tracker.finish()
+
+    assert first.remembered == pytest.approx(15.0, abs=0.1)
+    assert first.data == pytest.approx((1.0, 15.0), abs=0.6)
+    assert re.fullmatch(r"seconds before 15\.0 were .* at the end: model from 1\.0 to 15\.\d s", first.forgotten)
+    assert first.model is not None
+    assert last.model is not None
+    assert all(one.status["input"] == "ok" for one in first.model.axes.values())
+    assert first.model.axes["yaw"].input == pytest.approx(3.0 * (last.model.axes["yaw"].input or 0.0), rel=0.1)
+    assert first.model.axes["x"].input != last.model.axes["x"].input  # seconds after it do not stand in for its own
+
+
+def test_a_regime_without_a_kept_model_says_that_its_seconds_are_forgotten() -> None:
+    flight = known_flight()
+    alarm = Alarm(8.0, ("yaw",), "limits", (7.0, 8.0), {}, 0.9, 1e-9, "because")
+    late = between(flight, 20.0, 30.0)
+    (first, last), _ = regimes_of(late, [(0.0, None), (7.5, alarm)], [AXES], LAW, 30.0)
+
+    assert (first.model, first.data) == (None, None)
+    assert first.forgotten == "seconds before 20.0 were no longer remembered at the end: no model"
+    assert last.model is not None
+    assert last.forgotten == "seconds before 20.0 were no longer remembered at the end: model from 20.0 to 30.0 s"
+    (whole,), _ = regimes_of(flight, [(0.0, None)], [AXES], LAW, 30.0)
+    assert whole.forgotten == ""

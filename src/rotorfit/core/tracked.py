@@ -308,12 +308,24 @@ class Regime:
         model: Its model: each axis is fitted to all of the flight around the regime in which it did not change. None
             where that is too short for every axis.
         begun_by: The alarm at its start; None for the first.
+        data: From which to which second of the flight its model was fitted [s]; None without one.
+        remembered: From which second on the flight was remembered at its end [s]; None where that is all of the regime.
     """
 
     start: float
     end: float
     model: Model | None
     begun_by: Alarm | None = None
+    data: tuple[float, float] | None = None
+    remembered: float | None = None
+
+    @property
+    def forgotten(self) -> str:
+        """What of it was no longer remembered at the end of the flight, in words; empty if nothing."""
+        if self.remembered is None:
+            return ""
+        lost = f"seconds before {self.remembered:.1f} were no longer remembered at the end"
+        return f"{lost}: model from {self.data[0]:.1f} to {self.data[1]:.1f} s" if self.data else f"{lost}: no model"
 
 
 @dataclass(frozen=True)

@@ -331,6 +331,7 @@ def _regimes(regimes: Sequence[Regime], files: Sequence[Path | None]) -> list[di
             "begun": one.begun_by.named if one.begun_by else "as it began",
             "file": str(path) if path else "",
             "cells": _cells(one.model),
+            "forgotten": one.forgotten,
         }
         for number, (one, path) in enumerate(zip(regimes, known, strict=True), 1)
     ]

@@ -72,7 +72,7 @@ from rotorfit.tracking.refits import (
     stepped,
     together,
 )
-from rotorfit.tracking.regimes import Bounds, learnt_from, regimes_of
+from rotorfit.tracking.regimes import Bounds, fading, learnt_from, model_of_own, regimes_of
 from rotorfit.tracking.scores import CHUNK, WINDOWS, Scores
 from rotorfit.tracking.wind_error import coefficient_error
 
@@ -183,6 +183,8 @@ class Following:
         self._untested: dict[str, float] = {}
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
+        self._begins = np.inf
+        self._kept: dict[float, Model | None] = {}
         self.next_look = LEAST_TIME
         self.courses: tuple[Course, ...] = ()
         self.doubt: dict[str, float] = {}
@@ -215,6 +217,7 @@ class Following:
             The state, with the alarms of this look.
         """
         self.next_look = next_look(self.next_look, now)
+        self._keep(flight)
         before = self._as_refitted()
         alarm = self._change(flight, now, standing)
         if not self._suspects(now):
@@ -230,7 +233,7 @@ class Following:
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
         told = {"compared": self._compared, "unlike": sorted(self._unlike), "watched": dict(self._watched)}
         since = {"since": dict(self._since), "changed": dict(self._changed), "laws": dict(self._laws)}
-        return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
+        return {**since, "bounds": bounds, "next_look": float(self.next_look), "begins": self._begins, **told}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Continues from what `memory` returned."""
@@ -239,7 +242,7 @@ class Following:
         self.next_look = memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
         self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
-        self._watched = dict(memory.get("watched", {}))
+        self._watched, self._begins = dict(memory.get("watched", {})), memory.get("begins", np.inf)
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
         """The final state, after a last fit of each group, and the regimes with their models.
@@ -248,15 +251,24 @@ class Following:
         counts: a vehicle that has landed is held up by the ground, which no command explains either.
 
         Args:
-            flight: The whole flight.
+            flight: The flight, as far as it is remembered.
             now: Its end [s].
         """
         groups = groups_of([flight], flight.axes) or [AXES]
-        regimes, last = regimes_of(flight, self._bounds, groups, self._structure, now)
+        self._keep(flight)
+        regimes, last = regimes_of(flight, self._bounds, groups, self._structure, now, self._begins, self._kept)
         known = {axes: self._groups.get(axes, Group(axes, max(self._since[axis] for axis in axes))) for axes in groups}
         self._groups = {axes: replace(one, fitted=last.get(axes, one.fitted)) for axes, one in known.items()}
         end = flight.segments[-1].end
         return replace(self._tracked(between(flight, 0.0, end), end, ()), time=now, landed=True), regimes
+
+    def _keep(self, flight: Flight) -> None:
+        """Fits the regimes that begin to be forgotten."""
+        self._begins = min(self._begins, flight.span[0])
+        for start in fading(flight, self._bounds, self._begins):
+            if start not in self._kept:
+                groups = groups_of([flight], flight.axes)
+                self._kept[start] = model_of_own(flight, self._bounds, groups, self._structure, start)
 
     def _looked(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
         """A group after this look."""

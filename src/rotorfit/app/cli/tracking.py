@@ -479,7 +479,9 @@ def _end(result: "Track", files: Sequence[Path | None], page: Path | None) -> di
         "type": "end",
         "time": result.states[-1].time,
         "alarms": len(result.alarms),
-        "regimes": [{"start": one.start, "end": one.end} for one in result.regimes],
+        "regimes": [
+            {"start": one.start, "end": one.end, "data": one.data and list(one.data)} for one in result.regimes
+        ],
         "models": [str(path) for path in files if path],
         "report": str(page) if page else None,
     }

@@ -159,10 +159,11 @@ def track_view(result: Track) -> View:
         yield indented(result.watch, 0)
     if last.air:
         yield indented(_wind(last.air), 0)
-    if len(result.regimes) > 1:
+    if len(result.regimes) > 1 or any(one.forgotten for one in result.regimes):
         yield ""
         yield from bullets(
             f"{one.start:.1f} to {one.end:.1f} s: {one.begun_by.named if one.begun_by else 'as it began'}"
+            f"{f'; {one.forgotten}' if one.forgotten else ''}"
             for one in result.regimes
         )
 
