@@ -83,7 +83,7 @@ class MotionFilter:
         Returns:
             For each pose and axis of the world n, s, s', and driven position and velocity, shape (N, 2, 5).
         """
-        return _follow(
+        return _follow(  # type: ignore[no-any-return]
             time, position, yaw, command_time, command, self.law, self.series, self.levels, self.known, self.turns,
             self.z, self.k, self.u, self.mean, self.covariance, self.clock, self.grid,
         )  # fmt: skip
@@ -99,7 +99,7 @@ class MotionFilter:
             command_time: As for `follow`.
             command: As for `follow`.
         """
-        return _motion(
+        return _motion(  # type: ignore[no-any-return]
             command_time, command, self.law, self.series, self.levels, self.known, self.turns, self.z[1], self.k[1],
             self.u[1], self.mean[1], self.covariance[1], self.clock[1],
         )  # fmt: skip
