@@ -149,11 +149,11 @@ def test_an_axis_that_hard_commands_of_others_leave_untested_is_hardly_watched(
 ) -> None:
     moments = ((11.0, None, 0.9), (12.0, 11.5, 0.3), (13.0, 11.5, 0.6), (14.0, 11.5, 0.6))
     states = tuple(
-        Tracked(time, {"z": TrackedAxis("known", "known", watched=since, untested=share)})
+        Tracked(time, {"z": TrackedAxis("known", "known", watched=since, untested=share, untested_in_all=0.45)})
         for time, since, share in moments
     )
     show(track_view(Track(states, ())))
-    told = "z from 11.5 s on (not in 50% of it: x and y were commanded hard)"
+    told = "z from 11.5 s on (45% of the time untested: x and y were commanded hard)"
     assert f"Watched for changes: {told}" in " ".join(capsys.readouterr().out.split())
 
     hardly = "   13.0 s  z    hardly watched: x and y are commanded hard, 60% of the last 40 s not tested for changes"

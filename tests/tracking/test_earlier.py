@@ -90,7 +90,7 @@ def test_what_the_flight_tells_takes_its_place() -> None:
 def test_only_what_the_flight_tells_in_their_place_is_compared() -> None:
     """A steady gain alone is no comparison as long as the numbers are those of the earlier model."""
     earlier, told = Earlier(own(), NAME), known()[1].states[-1].axes["x"]
-    little = replace(told, values={**told.values, "input": None, "damping": None, "delay": None})
+    little = replace(told, values={**told.values, "input": None, "delay": None})
 
     assert compared(little, earlier, "x") != ()
     assert told_after(little, earlier, "x", unlike=False).earlier == NAME
@@ -99,13 +99,17 @@ def test_only_what_the_flight_tells_in_their_place_is_compared() -> None:
     assert set(COEFFICIENTS) <= told_after(told, earlier, "x", unlike=False).against.keys()
 
 
-def test_an_input_told_without_its_damping_is_not_compared() -> None:
-    """It belongs to one optimum of several: a yaw that was only held had 24.5, and 0.4 half a minute later."""
+def test_nothing_told_without_the_damping_is_compared() -> None:
+    """It belongs to one optimum of several: a yaw that was only held had 24.5, and 0.4 half a minute later.
+
+    Steady gain and total lag may be anything while the damping is near 0: on 4 of 60 flights of the same vehicle p was
+    below 0.001, with the damping told on none below 0.4.
+    """
     earlier, told = Earlier(scaled(own(), "x", 70.0), NAME), known()[1].states[-1].axes["x"]
     alone = replace(told, values={**told.values, "damping": None})
 
     assert "x.input" in {one.name for one in compared(told, earlier, "x")}
-    assert {one.name for one in compared(alone, earlier, "x")} == {"x.steady_gain", "x.total_lag"}
+    assert compared(alone, earlier, "x") == ()
 
 
 def test_numbers_that_this_flight_contradicts_are_not_shown() -> None:

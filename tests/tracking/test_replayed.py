@@ -99,6 +99,7 @@ def test_an_axis_is_not_watched_while_hard_commands_of_x_and_y_leave_it_untested
 
     assert axes["x"].untested == 0
     assert axes["z"].untested > 0.5
+    assert axes["z"].untested_in_all > 0.5
     assert axes["x"].watched is not None
     assert axes["z"].watched is None
 

@@ -199,7 +199,7 @@ class Retuning:
         if model.axes[axis].predictor is None or (before and _is_same_fit(before[0], model.axes[axis])):
             return None
         fit = first_order(model, axis)
-        now = self._belief(axis, fit)
+        now = fit if _is_dragged(model, axis) else self._belief(axis, fit)  # what is carried over knows no hover
         if not known and now is fit:
             return None
         self._fits[axis] = model.axes[axis], fit, now
@@ -298,8 +298,12 @@ def _with_law(model: Model, axis: str, law: Weighed) -> Model:
 def _apart(law: AxisLaw, model: Model, axis: str) -> float:
     """Squared distance of the vehicle that a law assumes from the known one, taking both as equally uncertain."""
     mean, covariance = _normal(first_order(model, axis))
-    if structure_named(model.axes[axis].structure).kicks == QUADRATIC:  # gains are those at hover
+    if _is_dragged(model, axis):  # gains are those at hover
         mean = np.array(known_dynamics(model, axis))
         covariance = np.cov(np.array(believed_possible(model, axis, DRAWS, 0)).T)
     off = np.array([law.input, law.damping, law.delay]) - mean
-    return float(off @ np.linalg.solve(2.0 * covariance, off))
+    return float(off @ np.linalg.pinv(2.0 * covariance, hermitian=True) @ off)  # a damping at its bound does not vary
+
+
+def _is_dragged(model: Model, axis: str) -> bool:
+    return structure_named(model.axes[axis].structure).kicks == QUADRATIC

@@ -77,7 +77,9 @@ class TrackedAxis:
             are from this flight.
         contradicts: Names of the quantities in which this flight contradicts the earlier model.
         watched: Time of the first test since its last change that could have raised an alarm about it [s]; None before.
-        untested: Share of the last 40 s in which it was not tested for changes, since x and y were commanded hard.
+        untested: Share of the last 40 s in which it was not tested for changes, since x and y were commanded hard; None
+            before the first test.
+        untested_in_all: The same of all time so far.
     """
 
     knowledge: Knowledge = "learning"
@@ -96,7 +98,13 @@ class TrackedAxis:
     against: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     contradicts: tuple[str, ...] = ()
     watched: float | None = None
-    untested: float = 0.0
+    untested: float | None = None
+    untested_in_all: float = 0.0
+
+    @property
+    def hardly_watched(self) -> bool:
+        """Whether most of the last time was not tested."""
+        return self.untested is not None and self.untested > HARDLY
 
     def to_mapping(self) -> dict[str, Any]:
         """The state as a line of JSON holds it."""
@@ -360,8 +368,9 @@ class Tracked:
     @property
     def blind(self) -> str:
         """The axes about which no alarm, or hardly one, can be raised now, in words; empty if there are none."""
-        hardly = [name for name, one in self.axes.items() if one.watched is not None and one.untested > HARDLY]
-        told = {"not yet watched for changes": self.unwatched, "hardly watched, x and y are commanded hard": hardly}
+        hardly = [name for name, one in self.axes.items() if one.hardly_watched]
+        unwatched = [name for name in self.unwatched if name not in hardly]
+        told = {"not yet watched for changes": unwatched, "hardly watched, x and y are commanded hard": hardly}
         return "; ".join(f"{words}: {', '.join(names)}" for words, names in told.items() if names)
 
     @property
@@ -484,9 +493,8 @@ class Track:
             if since is not None and (not spans or since != spans[-1][0]):
                 spans.append((since, None))
         told = [f"from {begin:.1f} s {'on' if end is None else f'to {end:.1f} s'}" for begin, end in spans]
-        every = [one for state in self.states if (one := _at(state, axis)).watched is not None or not told]
-        untested = float(np.mean([one.untested for one in every]))
-        hard = f" (not in {untested:.0%} of it: x and y were commanded hard)" if untested > SHOWN else ""
+        untested = _at(self.states[-1], axis).untested_in_all
+        hard = f" ({untested:.0%} of the time untested: x and y were commanded hard)" if untested > SHOWN else ""
         return (" and ".join(told) or "never") + hard
 
     @property

@@ -113,11 +113,12 @@ def limits_of_earlier(earlier: Earlier, card: Card) -> Iterator[str]:
     known = {axis: known_before(earlier, axis).keys() for axis in AXES if axis in card.command}
     if missing := [axis for axis, names in known.items() if not names]:
         yield f"{earlier.name} knows nothing of {', '.join(missing)}: all numbers there are from this flight"
-    few = [axis for axis, names in known.items() if names and not (names & {*ALIKE} or names >= {*COEFFICIENTS})]
+    enough = [{*COEFFICIENTS}, *({"damping", name} for name in ALIKE)]
+    few = [axis for axis, names in known.items() if names and not any(names >= needed for needed in enough)]
     if few:
         yield (
-            f"{earlier.name} tells too little of {', '.join(few)} to be compared with this flight: input, damping and "
-            "delay, or steady gain or total lag, each with an interval; a fit by maximum likelihood gives them"
+            f"{earlier.name} tells too little of {', '.join(few)} to be compared with this flight: its damping, and "
+            "input and delay, steady gain or total lag, each with an interval; a fit by maximum likelihood gives them"
         )
 
 
@@ -197,9 +198,11 @@ def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...
 
     Only those of `ALIKE` if their laws differ, or if one of them does not tell input, damping and delay: where one
     cannot be identified, the interval of another belongs to one optimum of several, and a little more data may prefer
-    another one.
+    another one. None where one of them does not tell the damping: near 0 it makes steady gain and total lag anything.
     """
     before, now = known_before(earlier, axis), _closed(out.values, out.ci95)
+    if "damping" not in before or "damping" not in now:
+        return ()
     complete = all(name in before and name in now for name in COEFFICIENTS)
     return tuple(one for one in _both(out, earlier, axis) if complete or one.name.partition(".")[2] in ALIKE)
 

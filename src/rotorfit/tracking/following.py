@@ -181,6 +181,7 @@ class Following:
         self._suspected: float | None = None
         self._watched: dict[str, float] = {}
         self._untested: dict[str, float] = {}
+        self._tallied: dict[str, tuple[float, int, int]] = {}
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
         self._begins = np.inf
@@ -384,9 +385,14 @@ class Following:
         """Notes the axes about which an alarm can be raised from now on, and how much of their time is not tested."""
         watched = self._watched_again()
         for names, scores in scored.items():
-            axes = {name.partition(".")[0] for name in names}
-            self._untested |= dict.fromkeys(axes, scores.untested)
-            if not axes <= watched.keys() and scores.untested < HARDLY and compares(scores, lengths):
+            axes, until = {name.partition(".")[0] for name in names}, float(scores.time[-1])
+            untested, rows = scores.untested(until - WINDOWS[-1])
+            self._untested |= dict.fromkeys(axes, untested / rows)
+            for axis in axes:
+                before = self._tallied.get(axis, (-np.inf, 0, 0))
+                new = scores.untested(before[0])
+                self._tallied[axis] = until, before[1] + new[0], before[2] + new[1]
+            if not axes <= watched.keys() and untested < HARDLY * rows and compares(scores, lengths):
                 self._watched = {**self._watched, **dict.fromkeys(axes - watched.keys(), now)}
 
     def _watched_again(self) -> dict[str, float]:
@@ -521,9 +527,10 @@ class Following:
             if fitted and axis in fitted.estimates and structure != law:
                 state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
-        out = TrackedAxis(
-            knowledge, state, watched=self._watched_again().get(axis), untested=self._untested.get(axis, 0.0)
-        )
+        out = TrackedAxis(knowledge, state, watched=self._watched_again().get(axis), untested=self._untested.get(axis))
+        if axis in self._tallied:
+            _, untested, rows = self._tallied[axis]
+            out = replace(out, untested_in_all=untested / rows)
         if fitted and report:
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure

@@ -155,10 +155,10 @@ class Scores:
         """Sums of the scores over each chunk, shape (C, P), and the products of `_each`, shape (P, P)."""
         return np.add.reduceat(self._each, self._chunks, axis=0), self._each.T @ self._each
 
-    @property
-    def untested(self) -> float:
-        """Share of the longest window before now, or of the regime, that is not tested."""
-        return 1.0 - float(self.tested_rows[self.time > self.time[-1] - WINDOWS[-1]].mean())
+    def untested(self, since: float) -> tuple[int, int]:
+        """Number of rows after a time [s] that are not tested, and of all rows after it."""
+        later = self.tested_rows[self.time > since]
+        return int(np.count_nonzero(~later)), later.size
 
     def chunks_before(self, at: int) -> int:
         """Number of chunks that begin before a row."""

@@ -11,7 +11,7 @@ from rich.text import Text
 from rotorfit.app.terminal.tables import View, bullets, indented, table, title
 from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.frames import POSE_UNITS
-from rotorfit.core.tracked import HARDLY, QUANTITIES, TIMES, Air, Alarm, Track, Tracked, TrackedAxis, other_law
+from rotorfit.core.tracked import QUANTITIES, TIMES, Air, Alarm, Track, Tracked, TrackedAxis, other_law
 
 UNITS = {
     "input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "zero": "s", "steady_gain": "{}/s", "total_lag": "s",
@@ -38,9 +38,12 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
     for time, names in _begun(before, state).items():
         yield _line(time, ", ".join(names), "watched for changes from here on")
     for name, axis in state.axes.items():
-        if axis.untested > HARDLY and not (before and name in before.axes and before.axes[name].untested > HARDLY):
-            share = f"{axis.untested:.0%} of the last 40 s"
+        hardly = before is not None and name in before.axes and before.axes[name].hardly_watched
+        if axis.hardly_watched and not hardly:
+            share = f"{axis.untested or 0.0:.0%} of the last 40 s"
             yield _line(state.time, name, f"hardly watched: x and y are commanded hard, {share} not tested for changes")
+        if hardly and not axis.hardly_watched and axis.watched == (before.axes[name].watched if before else None):
+            yield _line(state.time, name, "no longer hardly watched")
     given = before is not None and before.air is not None
     if state.air and not given:
         yield _line(state.time, "air", f"{_wind(state.air)}; x and y are now known well enough for it")

@@ -117,8 +117,8 @@ function taken(state) {
     const speed = unitOf("{}/s", name);
     one.now.textContent = [missing(axis.velocity) ? "" : `velocity ${figure(axis.velocity)} ${speed}`,
       axis.gusts ? `gusts ${figure(axis.gusts)} ${speed}` : "", axis.structure ? axis.structure.replaceAll("_", " ") : "",
-      missing(axis.watched_from) ? "not yet watched for changes" : `watched for changes from ${axis.watched_from.toFixed(2)} s on`,
-      axis.untested > 0.5 ? "hardly watched: x and y are commanded hard" : ""].filter(Boolean).join(" · ");
+      axis.untested > 0.5 ? "hardly watched: x and y are commanded hard" : missing(axis.watched_from) ? "not yet watched for changes"
+        : `watched for changes from ${axis.watched_from.toFixed(2)} s on`].filter(Boolean).join(" · ");
     one.rest.textContent = REST.filter(([quantity]) => !missing(axis[quantity]))
       .map(([quantity, unit]) => `${quantity.replace("_", " ")} ${told(axis[quantity], axis.ci95[quantity] || [], unitOf(unit, name))}`).join(" · ");
     for (const [quantity] of QUANTITIES) {
