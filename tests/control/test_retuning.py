@@ -108,15 +108,36 @@ def test_an_axis_with_a_lag_has_gains_of_the_first_order_law_beside_it_and_margi
     assert "margins its own of first_order_delay_lag" in x.note
 
 
+def dragged_fits(share: float = 0.8, number: int = 4) -> list[Model]:
+    """New fits of the same vehicle."""
+    model = dragged(share)
+    x = model.axes["x"]
+    errors = [{**x.stderr, "input": 0.03 + 1e-12 * k} for k in range(number)]
+    return [replace(model, axes={**model.axes, "x": replace(x, stderr=each)}) for each in errors]
+
+
 def test_gains_at_hover_of_an_axis_with_quadratic_drag_are_not_those_of_another_vehicle() -> None:
     """Their damping is far from that of the first-order law beside it."""
-    models = []
-    for k in range(4):  # each is a new fit
-        x = dragged().axes["x"]
-        x = replace(x, stderr={**x.stderr, "input": 0.03 + 1e-12 * k})
-        models.append(replace(dragged(), axes={**dragged().axes, "x": x}))
+    assert [one.tuning.axes["x"].law.damping for one in looks(Retuning(), *dragged_fits())] == pytest.approx([0.3])
 
-    assert [found.tuning.axes["x"].law.damping for found in looks(Retuning(), *models)] == pytest.approx([0.3])
+
+def test_nothing_that_knows_no_hover_is_carried_over_to_quadratic_drag() -> None:
+    """The first-order law beside it agrees with what is known: its damping is that of the flown speeds."""
+    retuning = Retuning(flown=flown(0.02), before=of_x((2.9, 1.7, 0.1), error=0.002))
+    retuning.changed(["x"], "limits")
+    (found,) = looks(retuning, *dragged_fits())
+
+    assert found.tuning.axes["x"].law.damping == pytest.approx(0.3)
+
+
+def test_a_drag_at_its_bound_gives_gains_once() -> None:
+    """It has no error: the damping at hover is 0 in all that is believed possible."""
+    sure = [
+        replace(one, covariance=one.covariance[:3, :3], covariance_names=one.covariance_names[:3])
+        for one in dragged_fits(1.0)
+    ]
+
+    assert [one.tuning.axes["x"].law.damping for one in looks(Retuning(), *sure)] == [0.0]
 
 
 def test_fits_that_move_by_their_noise_never_make_it_chatter() -> None:
