@@ -44,19 +44,21 @@ class LaggedAxis(NamedTuple):
 
 LoopVehicle = AxisBelief | LaggedAxis
 
-QUADRATIC = 1
-"""`Structure.kicks` of quadratic drag."""
-
 
 def has_own_margins(structure: Structure) -> bool:
     """Whether the margins of a loop follow from a law: its small motion is linear, on one axis, and has a delay.
 
     A law that was chosen without a delay would promise too much.
     """
-    return structure.delayed and (has_transfer_function(structure) or structure.kicks == QUADRATIC)
+    return structure.delayed and (has_transfer_function(structure) or has_quadratic_drag(structure))
 
 
-def damping_at_hover(point: Predictor) -> float:
+def has_quadratic_drag(structure: Structure) -> bool:
+    """Whether the drag of a law grows with the speed, on one axis: it damps itself less at rest."""
+    return structure.kicks == 1
+
+
+def damping_at_rest(point: Predictor) -> float:
     """Damping of the small motion about hover [1/s]: less than b under quadratic drag."""
     return point.damping * (1.0 - point.extra.get("drag_share", 0.0))
 
@@ -71,7 +73,7 @@ def loop_vehicle(structure: Structure, point: Predictor) -> LoopVehicle | None:
     extra = {one.place: point.extra[one.name] for one in structure.extras}
     delay = max(point.delay, 0.0)
     if LAG not in extra:
-        return AxisBelief(point.input, damping_at_hover(point), delay)
+        return AxisBelief(point.input, damping_at_rest(point), delay)
     return LaggedAxis(point.input, point.damping, delay, extra[LAG], extra.get(ZERO, 0.0), structure.order)
 
 

@@ -33,7 +33,7 @@ import numpy as np
 from scipy.special import chdtr
 
 from rotorfit.control.control_law import AxisLaw, Kind
-from rotorfit.control.loop_vehicle import QUADRATIC
+from rotorfit.control.loop_vehicle import has_quadratic_drag
 from rotorfit.control.robustness import believed_possible, doubt, known_dynamics, share_beyond
 from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, AxisTuning, Tuning, rate_note, rate_of, tune
 from rotorfit.core.errors import ModelError
@@ -306,4 +306,4 @@ def _apart(law: AxisLaw, model: Model, axis: str) -> float:
 
 
 def _is_dragged(model: Model, axis: str) -> bool:
-    return structure_named(model.axes[axis].structure).kicks == QUADRATIC
+    return has_quadratic_drag(structure_named(model.axes[axis].structure))

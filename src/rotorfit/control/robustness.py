@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.control.control_law import AxisLaw
-from rotorfit.control.loop_vehicle import QUADRATIC, LoopVehicle, damping_at_hover, has_own_margins, loop_vehicle
+from rotorfit.control.loop_vehicle import (
+    LoopVehicle,
+    damping_at_rest,
+    has_own_margins,
+    has_quadratic_drag,
+    loop_vehicle,
+)
 from rotorfit.control.margins import frequencies, law_response, spectral_radius, vehicle_response
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
@@ -89,10 +95,10 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
     Raises:
         ModelError: The axis was not excited.
     """
-    dragged = structure_named(model.axes[axis].structure).kicks == QUADRATIC
+    dragged = has_quadratic_drag(structure_named(model.axes[axis].structure))
     law = laws_of_vehicle(model, axis)[0] if dragged else first_order(model, axis)
     point = law.predictor
-    return AxisBelief(point.input, damping_at_hover(point), max(point.delay, 0.0) if _knows_the_delay(law) else 0.0)
+    return AxisBelief(point.input, damping_at_rest(point), max(point.delay, 0.0) if _knows_the_delay(law) else 0.0)
 
 
 def _knows_the_delay(law: Weighed) -> bool:
@@ -147,7 +153,7 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Lo
     if not all("delay" in law.stderr for law in laws):
         ci95.pop("delay", None)
     reach = _reach(laws, ci95)
-    if structure_named(laws[0].structure).kicks == QUADRATIC:
+    if has_quadratic_drag(structure_named(laws[0].structure)):
         ci95.pop("damping", None)  # what is drawn is the damping at hover, which may be near 0
     drawn = [one for law, number in zip(laws, counts, strict=True) for one in _drawn(law, int(number), rng, reach)]
     possible = [one for one in drawn if not _is_far_out(one, ci95)]

@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 from rotorfit.control.control_law import KINDS, AxisLaw, Kind, law_of_bandwidth, linear_system
-from rotorfit.control.loop_vehicle import QUADRATIC, LaggedAxis, LoopVehicle, has_own_margins
+from rotorfit.control.loop_vehicle import LaggedAxis, LoopVehicle, has_own_margins, has_quadratic_drag
 from rotorfit.control.margins import Margins, closed_loop, margins
 from rotorfit.control.robustness import (
     Doubt,
@@ -308,7 +308,7 @@ def _note(model: Model, axis: str, law: AxisLaw, noise: float | None) -> str:
     if axis in frozen_axes(model.findings):
         notes.append(MEND)
     structure, beside = structure_named(known.structure), known.plain
-    if structure.kicks == QUADRATIC:
+    if has_quadratic_drag(structure):
         beside = None
         notes.append(
             f"gains and margins are those of {structure.name} at hover, where it damps least; d, or the integral, "

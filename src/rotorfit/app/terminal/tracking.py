@@ -38,11 +38,12 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
     for time, names in _begun(before, state).items():
         yield _line(time, ", ".join(names), "watched for changes from here on")
     for name, axis in state.axes.items():
-        hardly = before is not None and name in before.axes and before.axes[name].hardly_watched
+        earlier = before.axes.get(name) if before else None
+        hardly = earlier is not None and earlier.hardly_watched
         if axis.hardly_watched and not hardly:
             share = f"{axis.untested or 0.0:.0%} of the last 40 s"
             yield _line(state.time, name, f"hardly watched: x and y are commanded hard, {share} not tested for changes")
-        if hardly and not axis.hardly_watched and axis.watched == (before.axes[name].watched if before else None):
+        if earlier and hardly and not axis.hardly_watched and axis.watched == earlier.watched:
             yield _line(state.time, name, "no longer hardly watched")
     given = before is not None and before.air is not None
     if state.air and not given:
