@@ -167,6 +167,16 @@ def test_the_delay_margin_is_near_the_phase_margin_over_the_crossover(kind: Kind
     assert found.delay == pytest.approx(found.phase / found.crossover, rel=0.02)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_delay_margin_of_seconds_is_found_too(kind: Kind) -> None:
+    law = law_for(kind, 0.15)
+
+    margin = margins(law, VEHICLE).delay
+    assert 2.5 < margin < 10
+    assert spectral_radius(law, VEHICLE._replace(delay=VEHICLE.delay + 0.99 * margin)) < 1
+    assert spectral_radius(law, VEHICLE._replace(delay=VEHICLE.delay + 1.01 * margin)) > 1
+
+
 def test_an_unstable_loop_has_no_margin() -> None:
     found = margins(law_for("predictor", 15.0, VEHICLE._replace(delay=0.0)), VEHICLE)
 

@@ -34,7 +34,8 @@ STEP = 0.005
 """Least step of the search for the delay margin [s]: commands that come faster do not make it finer."""
 
 LONGEST = 2.0
-"""Largest delay margin that is searched for [s]."""
+"""Largest delay margin that is searched for [s]: the loop has a state for each command under way. Of longer ones, the
+parts of a period by which phase over frequency misses are less than a hundredth."""
 
 
 @dataclass(frozen=True)
@@ -140,9 +141,10 @@ def margins(law: AxisLaw, vehicle: LoopVehicle) -> Margins:
 
 
 def delay_margin(law: AxisLaw, vehicle: LoopVehicle, about: float) -> float:
-    """The least additional delay that makes a stable loop unstable [s]; infinite if none up to `LONGEST` does.
+    """The least additional delay that makes a stable loop unstable [s]; infinite if |L| is nowhere 1.
 
     The eigenvalues are evaluated every quarter of a period, or `STEP`, and the crossing is refined by root finding.
+    Beyond `LONGEST` it is `about`.
 
     Args:
         law: The law.
@@ -156,12 +158,12 @@ def delay_margin(law: AxisLaw, vehicle: LoopVehicle, about: float) -> float:
 
     begin = about - 3 * max(law.period, STEP)
     if begin >= LONGEST:
-        return np.inf
+        return about
     begin = begin if begin > 0 and excess(begin) < 0 else 0.0
     for low, high in pairwise(np.arange(begin, LONGEST, max(law.period / 4, STEP)).tolist()):
         if excess(high) >= 0:
             return float(brentq(excess, low, high, xtol=1e-7))
-    return np.inf
+    return about
 
 
 def _roots(f: Callable[[float], float], w: Array, values: Array) -> list[float]:
