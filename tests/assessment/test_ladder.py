@@ -4,18 +4,23 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, partial
+from io import StringIO
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rich.console import Console, Group
 
 from flights import flown, steps, truth_of
 from rotorfit.app.cli import main
-from rotorfit.assessment.method_comparison import DIFFERS, Ladder, MethodRow, agreement, ladder, to_mapping
+from rotorfit.app.terminal.scores import ladder_view
+from rotorfit.assessment.method_comparison import DIFFERS, Ladder, MethodRow, agreement, ladder, statuses, to_mapping
+from rotorfit.core.finding import Finding
 from rotorfit.core.model import COEFFICIENTS, Axis, unknown_axis
 from rotorfit.estimation.fitting import fit
-from rotorfit.estimation.methods import compared_methods
+from rotorfit.estimation.methods import BEST, compared_methods
 from rotorfit.files.models import from_mapping
 from rotorfit.files.models import to_mapping as model_mapping
 from rotorfit.planning.signals import two_sines
@@ -90,11 +95,28 @@ def test_the_rung_that_is_biased_predicts_worse_and_none_worse_than_holding_the_
     assert 1.5 * error["ml"] < error["paper"] < (opened().held["z"] or 0)
 
 
-def test_an_axis_that_is_not_commanded_is_so_on_every_rung() -> None:
-    result = ladder([flown(Truth(), steps(("z",)), 20.0, 13)], ("x",))
+def test_an_axis_that_is_not_commanded_is_so_on_every_rung_and_findings_of_the_flight_are_told() -> None:
+    flight = replace(flown(Truth(), steps(("z",)), 20.0, 13), findings=(zeros("x"), zeros("z")))
+    result = ladder([flight], ("x",))
 
+    assert [told.axis for told in result.findings if told.code == "zeros_between_commands"] == ["x"]
     assert {row.axis.status["input"] for row in result.axes["x"]} == {"not_excited"}
     assert all(row.prediction is None and not row.agreement for row in result.axes["x"])
+
+
+def zeros(axis: str) -> Finding:
+    return Finding("zeros_between_commands", "error", f"the {axis} command is 0 in two rows of three", "-", "-", axis)
+
+
+# What the likelihood denies
+
+
+@pytest.mark.parametrize("denied", ["refuted", "not_excited", "pose_frozen"])
+def test_a_rung_keeps_a_number_that_the_likelihood_denies_but_not_the_status_ok(denied: str) -> None:
+    best = replace(unknown_axis(denied), status={"input": denied, "damping": "not_identifiable", "delay": "ok"})
+    rung = replace(known(1.0, 0.1), status={"input": "ok", "damping": "ok", "delay": "not_identifiable"})
+
+    assert statuses(rung, best) == {"input": denied, "damping": "ok", "delay": "not_identifiable"}
 
 
 # The test of agreement
@@ -146,6 +168,45 @@ def test_where_both_are_right_about_one_in_a_hundred_is_rejected() -> None:
 
 
 # What is written and shown
+
+
+def shown(result: Ladder) -> str:
+    console = Console(width=200, file=StringIO())
+    console.print(Group(*ladder_view(result)))
+    return cast(StringIO, console.file).getvalue()
+
+
+def of_two(rung: Axis, best: Axis, *findings: Finding) -> Ladder:
+    both = {"svf": rung, BEST: best}
+    lines = [
+        MethodRow(name, axis, statuses(axis, best), agreement(axis, best) if name != BEST else {}, None, "")
+        for name, axis in both.items()
+    ]
+    return Ladder(("a.bag",), {"z": tuple(lines)}, {"z": None}, findings)
+
+
+def test_errors_of_the_data_are_told_above_the_tables_and_every_finding_below_and_in_json() -> None:
+    clean, spoiled = (of_two(known(1.0, 0.2), known(1.0, 0.1), *told) for told in ((), (zeros("z"),)))
+    first, lines = "Do not use z before you have read the findings.", shown(spoiled).splitlines()
+
+    assert first not in shown(clean)
+    assert lines[1] == first
+    assert lines.index("error zeros_between_commands: the z command is 0 in two rows of three") > lines.index(
+        next(line for line in lines if line.startswith("svf"))
+    )
+    assert [told["code"] for told in to_mapping(spoiled)["findings"]] == ["zeros_between_commands"]
+
+
+def test_a_number_of_a_refuted_law_is_in_brackets_and_the_reason_is_told() -> None:
+    part = replace(known(1.0, 0.1), damping=None, status={"input": "ok", "damping": "refuted", "delay": "ok"})
+    some, none = shown(of_two(known(1.0, 0.2), part)), shown(of_two(known(1.0, 0.2), unknown_axis("refuted")))
+
+    assert some.splitlines()[4].split()[:7] == ["svf", "1.00", "+-", "0.20", "(1.00", "+-", "0.20)"]
+    assert "agrees: input, delay" in some
+    assert "ml: no damping: the flights deny the law that it belongs to, on every row; `rotorfit fit`" in some
+    assert none.count("(1.00 +- 0.20)") == 3
+    assert "ml: refuted" in none
+    assert "ml: no number: the flights deny the law" in none
 
 
 def test_the_mapping_is_json_without_nan_and_holds_every_row() -> None:

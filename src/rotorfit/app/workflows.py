@@ -10,28 +10,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from rotorfit.app.first_use import FITTING, VALIDATION, compile_beforehand
-from rotorfit.assessment.advice import findings_of_fit
+from rotorfit.assessment.advice import with_advice
 from rotorfit.assessment.case import UNPROVEN, Case, same_motion
 from rotorfit.assessment.innovations import placed
 from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.assessment.method_comparison import Ladder, ladder
 from rotorfit.assessment.mismatch import beginning
 from rotorfit.assessment.paired import paired_test
-from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import with_influence
 from rotorfit.assessment.uncertainty import with_uncertainty
 from rotorfit.assessment.validation import dynamics_from_model, to_mapping, validate
 from rotorfit.core.card import Card
 from rotorfit.core.display import FrameLibrary, columns_of, frame
 from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
-from rotorfit.core.finding import by_gravity, told_together
+from rotorfit.core.finding import told_together
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
-from rotorfit.core.frozen import frozen_axes, with_frozen
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
-from rotorfit.core.model import Model, with_findings
+from rotorfit.core.model import Model
 from rotorfit.core.plain import line_of
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
@@ -194,16 +192,7 @@ def fit_logs(
         result = with_influence(result)
     if uncertainty:
         result = with_uncertainty(result, progress)
-    before = [
-        told
-        for flight, fitted in zip(flights, result.flights, strict=True)
-        for told in flight.findings
-        if told.axis is None
-        or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
-        or set(frozen_axes([told])) & set(axes)
-    ]  # without axes that a flight merely holds
-    findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
-    return replace(result, model=with_frozen(with_findings(result.model, findings), axes))
+    return with_advice(result, flights, axes)
 
 
 def leave_one_out_logs(
@@ -221,7 +210,8 @@ def ladder_logs(
     progress: Progress | None = None,
 ) -> Ladder:
     """Reads logs and fits every rung of the ladder to them together."""
-    return ladder(load_flights(logs, card, progress=progress), axes, progress)
+    chosen = load_card(card) if isinstance(card, str) else card
+    return ladder([_diagnosed(*one) for one in _all_flown(logs, chosen, progress=progress)], axes, progress)
 
 
 def validate_logs(

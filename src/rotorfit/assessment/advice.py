@@ -11,13 +11,14 @@ import numpy as np
 
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
 from rotorfit.assessment.law_findings import disagreement_findings, law_findings
+from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings
 from rotorfit.core.finding import OTHER_STAMPS, Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.frozen import frozen_axes
+from rotorfit.core.frozen import frozen_axes, with_frozen
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Axis
+from rotorfit.core.model import Axis, with_findings
 from rotorfit.core.results import Fit
 from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.command_response import TURNING
@@ -118,6 +119,26 @@ LIKELIHOOD_DOUBT = 2.0
 
 ABOUT_DELAY = ("delay_not_identifiable", "delay_negative")
 """Findings about the delay that are left out where the offset of two clocks includes it."""
+
+
+def with_advice(fit: Fit, flights: Sequence[Flight], axes: Sequence[str]) -> Fit:
+    """The fit with all its findings, and with the status that a frozen pose gives what it keeps from being known.
+
+    Args:
+        fit: The fit.
+        flights: The flights with their findings, as they were before the fit left axes out that a flight merely holds.
+        axes: The axes that were fitted.
+    """
+    before = [
+        told
+        for flight, fitted in zip(flights, fit.flights, strict=True)
+        for told in flight.findings
+        if told.axis is None
+        or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+        or set(frozen_axes([told])) & set(axes)
+    ]
+    findings = by_gravity((*findings_of_fit(fit, before), *findings_of_settings(fit.model)))
+    return replace(fit, model=with_frozen(with_findings(fit.model, findings), axes))
 
 
 def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, ...]:

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.assessment.advice import with_advice
 from rotorfit.assessment.validation import horizon_scores
 from rotorfit.core.display import short_repr
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis
+from rotorfit.core.model import COEFFICIENTS, FROZEN, STRUCTURE, Axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Horizon
 from rotorfit.estimation.fitting import fit
@@ -24,6 +26,10 @@ DIFFERS = 2.5758293035489004
 
 MORE_VARIANCE = 2.0
 """Minimum ratio of a rung's variance to that of the likelihood for their difference to be a variance itself."""
+
+
+DENIED = ("refuted", "not_excited", FROZEN)
+"""Statuses that the likelihood gives for what is wrong in the law or in the flight, and so in every rung."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,8 @@ class MethodRow:
     Attributes:
         method: Name of the rung.
         axis: Result of the rung for the axis.
+        status: Coefficient name to its status. It is that of the likelihood where that refutes the law, or where the
+            commands explain nothing to it: the number of the rung stays, and is not one of the vehicle.
         agreement: Coefficient name to its test; only coefficients that both estimate.
         prediction: RMSE of 1 s velocity predictions on the same flights [m/s or rad/s]; None without a model.
         remark: Comment on its numbers: why there is none, which instrument, whether it is valid.
@@ -57,6 +65,7 @@ class MethodRow:
 
     method: str
     axis: Axis
+    status: Mapping[str, str]
     agreement: Mapping[str, Agreement]
     prediction: float | None
     remark: str
@@ -70,11 +79,14 @@ class Ladder:
         paths: Paths of the logs.
         axes: Axis name to its rows, in the order of `compared_methods`.
         held: Axis name to the error of predictions that hold the velocity.
+        findings: Of the flights, and of their fit by the likelihood: an error of the data or of the law is common to
+            all rungs, so that no agreement of theirs shows it.
     """
 
     paths: tuple[str, ...]
     axes: Mapping[str, tuple[MethodRow, ...]]
     held: Mapping[str, float | None]
+    findings: tuple[Finding, ...] = ()
 
     __repr__ = short_repr
 
@@ -100,6 +112,7 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
         fits[method] = fit(flights, method, axes, structure=STRUCTURE)  # rungs differ in method, not in law
         found = [horizon_scores(fits[method].model, flight, HORIZON) for flight in fits[method].flights]
         scores[method], held = [own for own, _ in found], [hold for _, hold in found]
+    fits[BEST] = with_advice(fits[BEST], flights, axes)
     best = fits[BEST].model
     wanted = [axis for axis in AXES if axis in axes]
     served = {axis: [axis in source.axes for source in best.flights] for axis in wanted}
@@ -108,6 +121,7 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
             MethodRow(
                 method=method,
                 axis=fitted.model.axes[axis],
+                status=statuses(fitted.model.axes[axis], best.axes[axis]),
                 agreement={} if method == BEST else agreement(fitted.model.axes[axis], best.axes[axis]),
                 prediction=_pooled(scores[method], axis, served[axis]),
                 remark=fitted.remarks.get(axis, ""),
@@ -116,7 +130,9 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
         )
         for axis in wanted
     }
-    return Ladder(tuple(f.path for f in flights), rows, {axis: _pooled(held, axis, served[axis]) for axis in wanted})
+    errors = {axis: _pooled(held, axis, served[axis]) for axis in wanted}
+    told = tuple(finding for finding in best.findings if finding.axis is None or finding.axis in wanted)
+    return Ladder(tuple(f.path for f in flights), rows, errors, told)
 
 
 def _pooled(scores: Sequence[Mapping[str, Horizon]], axis: str, served: Sequence[bool]) -> float | None:
@@ -124,6 +140,21 @@ def _pooled(scores: Sequence[Mapping[str, Horizon]], axis: str, served: Sequence
     errors = [flight[axis] for flight, serves in zip(scores, served, strict=True) if serves]
     known = [(error.n, error.velocity_rmse) for error in errors if error.velocity_rmse is not None]
     return float(np.sqrt(sum(n * e**2 for n, e in known) / sum(n for n, _ in known))) if known else None
+
+
+def statuses(rung: Axis, best: Axis) -> dict[str, str]:
+    """The status of each coefficient of a rung; that of the likelihood where it denies the number of any rung.
+
+    All rungs fit one law to one flight, but only the likelihood tests both.
+
+    Args:
+        rung: An axis as estimated by a rung.
+        best: The same axis as estimated by the likelihood.
+    """
+    return {
+        name: best.status[name] if rung.status[name] == "ok" and best.status[name] in DENIED else rung.status[name]
+        for name in COEFFICIENTS
+    }
 
 
 def agreement(rung: Axis, best: Axis) -> dict[str, Agreement]:
@@ -164,6 +195,7 @@ def to_mapping(result: Ladder) -> dict[str, Any]:
             axis: {"rungs": [_row(row) for row in rows], "held": result.held[axis]}
             for axis, rows in result.axes.items()
         },
+        "findings": [asdict(finding) for finding in result.findings],
     }
 
 
@@ -173,7 +205,7 @@ def _row(row: MethodRow) -> dict[str, Any]:
         **{name: getattr(row.axis, name) for name in COEFFICIENTS},
         "stderr": dict(row.axis.stderr),
         "ci95": {name: list(ends) for name, ends in row.axis.ci95.items()},
-        "status": dict(row.axis.status),
+        "status": dict(row.status),
         "agreement": {name: asdict(test) for name, test in row.agreement.items()},
         "prediction": row.prediction,
         "remark": row.remark,

@@ -1,9 +1,9 @@
 """Summary: what a fit did and did not determine, in one paragraph of plain words."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from rotorfit.core.display import interval_text, number_text
-from rotorfit.core.finding import told_together
+from rotorfit.core.finding import Finding, told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import given_by_law
 from rotorfit.core.model import COEFFICIENTS, FROZEN, Axis, Combination, Model
@@ -45,8 +45,8 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool =
     sentences = [f"Fitted to {flights} by {label_of(model.method)}{BELIEVED * bool(model.prior)}."]
     if whole:
         sentences.append(f"Known: {listed([_NAMES[name] for name in coefficients])} of {listed(whole)}.")
-    spoiled = _spoiled(model, wanted)
-    sentences += [_partly_known(axis, model.axes[axis], axis not in spoiled) for axis in partly]
+    bad = spoiled(model.findings, {axis: model.axes[axis] for axis in wanted})
+    sentences += [_partly_known(axis, model.axes[axis], axis not in bad) for axis in partly]
     unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
     groups = {why: [axis for axis, status in unknown.items() if status == why] for why in _REASONS}
     if reasons := [_REASONS[why].format(listed(group, "or")) for why, group in groups.items() if group]:
@@ -59,10 +59,15 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool =
     return " ".join(sentences)
 
 
-def _spoiled(model: Model, wanted: Sequence[str]) -> list[str]:
-    """The axes that a finding forbids to use."""
-    errors = {finding.axis for finding in model.findings if finding.severity == "error"}
-    return [axis for axis in wanted if axis in errors or (None in errors and model.axes[axis].predictor)]
+def spoiled(findings: Sequence[Finding], axes: Mapping[str, Axis]) -> list[str]:
+    """Those of some axes that a finding forbids to use."""
+    errors = {finding.axis for finding in findings if finding.severity == "error"}
+    return [name for name, axis in axes.items() if name in errors or (None in errors and axis.predictor)]
+
+
+def read_first(axes: Sequence[str]) -> str:
+    """The warning of spoiled axes."""
+    return f"Do not use {listed(axes)} before you have read the findings."
 
 
 def _partly_known(axis: str, known: Axis, usable: bool) -> str:
@@ -103,9 +108,9 @@ def _range(part: Combination) -> str:
 def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
     """What must be read first; empty if there is nothing."""
     concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
-    spoiled = _spoiled(model, wanted)
+    bad = spoiled(concerned, {axis: model.axes[axis] for axis in wanted})
     warnings = sum(finding.severity == "warning" for finding in told_together(concerned))
-    if spoiled:
-        yield f"Do not use {listed(spoiled)} before you have read the findings."
+    if bad:
+        yield read_first(bad)
     if warnings:
         yield "One finding is a warning." if warnings == 1 else f"{warnings} findings are warnings."

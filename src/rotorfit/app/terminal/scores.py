@@ -1,7 +1,7 @@
 """Terminal output of the ladder (every method, axis by axis) and of predictions (errors over horizons, by flight)."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
@@ -10,11 +10,13 @@ from rich.text import Text
 from rotorfit.app.terminal.frequency import responses_view
 from rotorfit.app.terminal.proof import bands_view, leave_one_out_view, paired_view, residuals_view
 from rotorfit.app.terminal.tables import View, bullets, finding_view, indented, table, three_digits, title
-from rotorfit.assessment.method_comparison import Ladder, MethodRow
+from rotorfit.assessment.method_comparison import DIFFERS, Ladder, MethodRow
 from rotorfit.assessment.rows import SPEED
+from rotorfit.assessment.summary import read_first, spoiled
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Interval, Model
+from rotorfit.reporting.verdict import STATUS
 
 if TYPE_CHECKING:
     from rotorfit.app.workflows import Comparison
@@ -23,26 +25,57 @@ if TYPE_CHECKING:
 
 
 def ladder_view(ladder: Ladder) -> View:
-    """All rungs of each axis, one below the other, with their remarks."""
+    """What forbids to use an axis; all rungs of each axis, one below the other, with their remarks; the findings."""
     yield title(f"Every method on {', '.join(ladder.paths)}")
+    if bad := spoiled(ladder.findings, {axis: rows[-1].axis for axis, rows in ladder.axes.items()}):
+        yield Text(read_first(bad), style="bold")
     for axis, rows in ladder.axes.items():
         shown = table(axis, *COEFFICIENTS, "1 s", "against ml", left=(0, 5), gap=3)
         scale = SPEED[axis][1]
         for row in rows:
-            values = [_plus_minus(getattr(row.axis, name), row.axis.stderr[name]) for name in COEFFICIENTS]
+            values = [_coefficient(row, name) for name in COEFFICIENTS]
             error = "-" if row.prediction is None else three_digits(scale * row.prediction)
-            shown.add_row(row.method, *values, error, _verdict(row, rows[-1].method))
+            shown.add_row(row.method, *values, error, _verdict(row, rows[-1]))
         if (held := ladder.held[axis]) is not None:
             shown.add_row("hold", "", "", "", three_digits(scale * held), "", style="dim")
         yield ""
         yield shown
         yield from bullets([f"{row.method}: {row.remark}" for row in rows if row.remark])
-    yield Text(
-        "+-: standard error; 1 s: RMSE of 1 s velocity predictions on these very flights [cm/s, yaw deg/s], hold keeps "
-        "the velocity; against ml: coefficients that differ from the likelihood's at 1 %. All rows fit the law with a "
-        "delay alone; `rotorfit fit` weighs laws with a lag, too.",
-        style="dim",
-    )
+        yield from bullets(_reasons(rows[-1]))
+    yield ""
+    for line in _LADDER_LEGEND:
+        yield indented(line, 0, "dim")
+    for finding in told_together(ladder.findings):
+        yield ""
+        yield from finding_view(finding)
+
+
+_LADDER_LEGEND = (
+    "+-: standard error of the scatter of a method, without its bias (`paper` is biased wherever there is a delay).",
+    "( ): ml finds that the law is wrong here, or that the commands explain nothing: not a number of the vehicle.",
+    "1 s: RMSE of the velocity, predicted over all steps up to 1 s of these very flights [cm/s, yaw deg/s]; hold "
+    "keeps the velocity.",
+    f"against ml: the coefficients that both rows give; differs: those that are more than {DIFFERS:.1f} standard "
+    "errors apart; agrees: none is, and only those named could be compared; else the status of the row or of ml that "
+    "has no number.",
+    "All rows fit the law with a delay alone to the same data: they agree on what is wrong in both. `rotorfit fit` "
+    "weighs laws with a lag, too.",
+)
+
+
+def _coefficient(row: MethodRow, name: str) -> str:
+    """A coefficient of a rung, in brackets where the likelihood denies it."""
+    text = _plus_minus(getattr(row.axis, name), row.axis.stderr[name])
+    return text if text == "-" or row.status[name] == "ok" else f"({text})"
+
+
+def _reasons(best: MethodRow) -> Iterator[str]:
+    """Why the likelihood gives no number, status by status."""
+    for status in dict.fromkeys(best.status[name] for name in COEFFICIENTS if best.status[name] != "ok"):
+        lost = [name for name in COEFFICIENTS if best.status[name] == status]
+        which = "no number" if len(lost) == len(COEFFICIENTS) else ", ".join(f"no {name}" for name in lost)
+        others = ", on every row; `rotorfit fit` weighs other laws" if status == "refuted" else ""
+        yield f"{best.method}: {which}: {STATUS[status]}{others}"
 
 
 def _plus_minus(value: float | None, error: float | None) -> str:
@@ -53,12 +86,14 @@ def _plus_minus(value: float | None, error: float | None) -> str:
     return f"{value:.{decimals}f} +- {error:.{decimals}f}"
 
 
-def _verdict(row: MethodRow, best: str) -> str:
-    """The verdict of the agreement test on a rung."""
-    if all(getattr(row.axis, name) is None for name in COEFFICIENTS):
+def _verdict(row: MethodRow, best: MethodRow) -> str:
+    """The verdict of the agreement test on a rung, or why there is none."""
+    known = [name for name in COEFFICIENTS if getattr(row.axis, name) is not None]
+    if not known:
         return row.axis.status["input"]
     if not row.agreement:
-        return "" if row.method == best else f"no number of {best}"
+        why = dict.fromkeys(best.status[name] for name in known)
+        return "" if row is best else f"{best.method}: {', '.join(why)}"
     differing = [name for name, test in row.agreement.items() if not test.agrees]
     if differing:
         return f"differs: {', '.join(differing)}"
