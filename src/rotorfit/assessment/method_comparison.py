@@ -12,7 +12,7 @@ from rotorfit.core.display import short_repr
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import COEFFICIENTS, FROZEN, STRUCTURE, Axis
+from rotorfit.core.model import COEFFICIENTS, FROZEN, NORMAL, STRUCTURE, Axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Horizon
 from rotorfit.estimation.fitting import fit
@@ -175,7 +175,7 @@ def agreement(rung: Axis, best: Axis) -> dict[str, Agreement]:
     found = {}
     for name in COEFFICIENTS:
         value, other = getattr(rung, name), getattr(best, name)
-        error, least = rung.stderr[name], best.stderr[name]
+        error, least = _error(rung, name), _error(best, name)
         if value is None or other is None or error is None or least is None:
             continue
         own = error**2 >= MORE_VARIANCE * least**2
@@ -184,6 +184,15 @@ def agreement(rung: Axis, best: Axis) -> dict[str, Agreement]:
         agrees = abs(difference) <= DIFFERS * spread
         found[name] = Agreement(difference, spread, "hausman" if own else "bound", agrees)
     return found
+
+
+def _error(axis: Axis, name: str) -> float | None:
+    """Standard error of a coefficient over flights like these: as its 95 % interval of them has it, if that is closed.
+
+    That of the vehicle holds what other flights may be, which no difference of two estimates from one flight contains.
+    """
+    low, high = axis.ci95_flight.get(name, axis.ci95[name])
+    return axis.stderr[name] if low is None or high is None else (high - low) / (2 * NORMAL)
 
 
 def to_mapping(result: Ladder) -> dict[str, Any]:
