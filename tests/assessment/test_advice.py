@@ -348,7 +348,9 @@ def test_a_damping_that_hangs_on_an_open_delay_says_so() -> None:
     assert told.remedy == "fly faster changes of the command"
 
 
-def test_an_instrument_that_the_motion_answers_is_a_warning() -> None:
-    flight = flown(Truth(), steps(), 60.0, 6, controller=Controller(3.0, 3.0))
+def test_an_instrument_that_the_motion_answers_is_a_warning_in_a_soft_loop_too_and_none_in_an_open_one() -> None:
+    loops = (Controller(3.0, 3.0), Controller(1.0, 1.6), None)
+    fits = [fit([flown(Truth(), steps(), 60.0, 7, controller=loop)], "iv", ("z",)) for loop in loops]
+    told = [found(one).get(("instrument_not_valid", "z")) for one in fits]
 
-    assert found(fit([flight], "iv", ("z",)))["instrument_not_valid", "z"].severity == "warning"
+    assert [one and one.severity for one in told] == ["warning", "warning", None]

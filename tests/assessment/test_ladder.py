@@ -16,7 +16,16 @@ from rich.console import Console, Group
 from flights import flown, steps, truth_of
 from rotorfit.app.cli import main
 from rotorfit.app.terminal.scores import ladder_view
-from rotorfit.assessment.method_comparison import DIFFERS, Ladder, MethodRow, agreement, ladder, statuses, to_mapping
+from rotorfit.assessment.method_comparison import (
+    DIFFERS,
+    NOT_VALID,
+    Ladder,
+    MethodRow,
+    agreement,
+    ladder,
+    statuses,
+    to_mapping,
+)
 from rotorfit.core.finding import Finding
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, unknown_axis
 from rotorfit.estimation.fitting import fit
@@ -40,7 +49,7 @@ def opened() -> Ladder:
 @cache
 def closed() -> Ladder:
     """z in a tight feedback loop, in a wind that matters."""
-    return ladder([flown(BREEZE, steps(("z",)), 40.0, 12, controller=Controller(3.0, 3.0))], ("z",))
+    return ladder([flown(BREEZE, steps(("z",)), 40.0, 14, controller=Controller(3.0, 3.0))], ("z",))
 
 
 def rows(result: Ladder, axis: str = "z") -> dict[str, MethodRow]:
@@ -85,6 +94,10 @@ def test_in_a_closed_loop_least_squares_is_biased_and_the_likelihood_is_not() ->
         assert not holds(found[method].axis, "damping")
         assert not found[method].agreement["damping"].agrees
     assert [name for name in COEFFICIENTS if not holds(found["ml"].axis, name)] == []
+
+
+def test_an_instrument_from_commands_that_answer_the_motion_is_remarked() -> None:
+    assert [NOT_VALID in rows(result)["iv"].remark for result in (opened(), closed())] == [False, True]
 
 
 def test_the_rung_that_is_biased_predicts_worse_and_none_worse_than_holding_the_velocity() -> None:

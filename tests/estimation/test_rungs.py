@@ -11,7 +11,7 @@ from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.estimation.methods import METHODS
-from rotorfit.estimation.regression.axes_by_method import NOT_VALID, axes_by_method, estimator_of
+from rotorfit.estimation.regression.axes_by_method import axes_by_method, estimator_of
 from rotorfit.estimation.regression.instrumental_variables import COMMAND, REFERENCE, iv
 from rotorfit.estimation.regression.least_squares import svf
 from rotorfit.estimation.regression.result import MethodResult, axis_of_rung
@@ -237,12 +237,3 @@ def test_a_reference_that_one_of_the_axes_lacks_is_not_used() -> None:
     reference[:, 0] = still().command[:, 0]
 
     assert COMMAND in iv([replace(still(), reference=reference)], ("x", "y")).remark["x"]
-
-
-def test_commands_that_answer_the_motion_make_the_instrument_not_valid_and_that_is_said() -> None:
-    said = [
-        axes_by_method([flown(Truth(), steps(), 60.0, 6, controller=controller)], ("z",), "iv")[2]["z"]
-        for controller in (Controller(3.0, 3.0), None)
-    ]
-
-    assert [NOT_VALID in remark for remark in said] == [True, False]

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
+from rotorfit.assessment.frequency.loop import seem_to_answer
 from rotorfit.assessment.law_findings import disagreement_findings, law_findings
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings
@@ -29,7 +30,7 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
 from rotorfit.estimation.likelihood.outliers import outlier_findings
 from rotorfit.estimation.methods import BEST, METHODS, label_of
-from rotorfit.estimation.regression.axes_by_method import NOT_VALID
+from rotorfit.estimation.regression.instrumental_variables import COMMAND
 from rotorfit.estimation.zero_command import findings_of_braking
 
 ONE_CLOCK = (".ulg", ".bin")
@@ -179,7 +180,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
                 whole = sum(flight.duration for flight in fit.flights)
                 found += findings_of_braking(name, *fit.braking[name], whole)
         found += _paper_findings(fit, k)
-        found += _instrument_findings(name, fit.remarks.get(name, ""))
+        found += _instrument_findings(fit, name)
     found += _bias_findings(fit.model.method)
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
@@ -540,13 +541,19 @@ def _bias_findings(method: str) -> Iterator[Finding]:
         )
 
 
-def _instrument_findings(name: str, remark: str) -> Iterator[Finding]:
-    if NOT_VALID in remark:
+def instrument_not_valid(fit: Fit, name: str) -> bool:
+    """Whether the instrument of an axis is simulated from commands that seem to answer the motion."""
+    told = COMMAND in fit.remarks.get(name, "") and fit.model.axes[name].predictor
+    return bool(told) and seem_to_answer(fit.flights, name)
+
+
+def _instrument_findings(fit: Fit, name: str) -> Iterator[Finding]:
+    if instrument_not_valid(fit, name):
         yield Finding(
             "instrument_not_valid",
             "warning",
-            f"the commands of {name} answer its motion, and the instrument is simulated from them",
-            f"the instrument holds the wind that it should be free of: the coefficients of {name} are biased",
+            f"the commands of {name} seem to answer its motion, and the instrument is simulated from them",
+            f"the instrument then holds the wind that it should be free of: the coefficients of {name} are biased",
             "name what the controller was told in [reference] of the card, or use --method ml",
             name,
         )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.assessment.advice import with_advice
+from rotorfit.assessment.advice import instrument_not_valid, with_advice
 from rotorfit.assessment.validation import horizon_scores
 from rotorfit.core.display import short_repr
 from rotorfit.core.finding import Finding
@@ -30,6 +30,10 @@ MORE_VARIANCE = 2.0
 
 DENIED = ("refuted", "not_excited", FROZEN)
 """Statuses that the likelihood gives for what is wrong in the law or in the flight, and so in every rung."""
+
+
+NOT_VALID = "not valid here: the commands seem to answer the motion, and no reference was recorded"
+"""Remark on an instrument computed from commands that come from a feedback loop."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
                 status=statuses(fitted.model.axes[axis], best.axes[axis]),
                 agreement={} if method == BEST else agreement(fitted.model.axes[axis], best.axes[axis]),
                 prediction=_pooled(scores[method], axis, served[axis]),
-                remark=fitted.remarks.get(axis, ""),
+                remark=_remark(fitted, axis),
             )
             for method, fitted in fits.items()
         )
@@ -133,6 +137,12 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
     errors = {axis: _pooled(held, axis, served[axis]) for axis in wanted}
     told = tuple(finding for finding in best.findings if finding.axis is None or finding.axis in wanted)
     return Ladder(tuple(f.path for f in flights), rows, errors, told)
+
+
+def _remark(fitted: Fit, axis: str) -> str:
+    """What a rung says of its numbers, and whether its instrument is one."""
+    remark = fitted.remarks.get(axis, "")
+    return f"{remark}; {NOT_VALID}" if instrument_not_valid(fitted, axis) else remark
 
 
 def _pooled(scores: Sequence[Mapping[str, Horizon]], axis: str, served: Sequence[bool]) -> float | None:

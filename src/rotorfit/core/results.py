@@ -225,8 +225,7 @@ class Fit:
         flights: In the order of `model.flights`.
         paper: The paper's regression on the same flights.
         estimates: Axis name to the maximum of its likelihood, an `Estimate` of the estimation; empty for other methods.
-        remarks: Axis name to remarks of a rung on its numbers: why there is none, which instrument, whether it is
-            valid.
+        remarks: Axis name to remarks of a rung on its numbers: why there is none, which instrument.
         outliers: Poses of each flight that the robust method excluded.
         braking: Axis that obeys another law while its command is zero, to the test that shows it and the duration of
             the parts that it was fitted to [s].

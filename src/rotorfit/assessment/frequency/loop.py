@@ -43,9 +43,7 @@ def findings_of_loops(flights: Sequence[Flight], axes: Sequence[str], horizon: f
     if horizon <= REVEALED:
         return
     for axis in axes:
-        windows = [window for flight in flights if _commands(flight, axis) for window in windows_of(flight, axis)]
-        # Only suspected: a false alarm costs a line, and a minute of sines beside a soft loop hardly shows more.
-        if windows and _evidence(windows).suspected:
+        if seem_to_answer(flights, axis):
             yield Finding(
                 "commands_reveal_wind",
                 "info",
@@ -55,6 +53,15 @@ def findings_of_loops(flights: Sequence[Flight], axes: Sequence[str], horizon: f
                 f"compare models by their errors up to {REVEALED:g} s, or on flights without a position loop",
                 axis,
             )
+
+
+def seem_to_answer(flights: Sequence[Flight], axis: str) -> bool:
+    """Whether the commands of an axis may follow its motion; False where no flight can show it.
+
+    Only suspected: a false alarm costs a line, and a minute of sines beside a soft loop hardly shows more.
+    """
+    windows = [window for flight in flights if _commands(flight, axis) for window in windows_of(flight, axis)]
+    return bool(windows) and _evidence(windows).suspected
 
 
 def _commands(flight: Flight, axis: str) -> bool:
