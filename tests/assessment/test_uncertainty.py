@@ -124,6 +124,22 @@ def test_the_sandwich_sees_a_wobble_that_the_expected_information_does_not() -> 
     assert ratio(0, shaken) > 1.1 * ratio(0, clean)
 
 
+def test_a_coefficient_at_a_bound_has_no_standard_error_there() -> None:
+    growing = Truth(gamma=(*GAMMA_B[:5], -0.1, *GAMMA_B[6:]))  # the search keeps the damping positive
+
+    table = with_uncertainty(fit_as_flown([flown(growing, steps(("z",), seed=4), 20.0, 4)], ("z",)), flights=3)
+    assert table.model.uncertainty is not None
+
+    known = table.model.uncertainty.axes["z"].coefficients
+    assert known["damping"].value == pytest.approx(0.001)
+    assert known["damping"].observed is None
+    assert known["damping"].bootstrap is None
+    assert known["input"].observed is not None
+    assert known["input"].ragged  # the damping was held
+    assert [row[3].strip() for row in error_rows(table.model.uncertainty)][1] == "-"
+    assert any("damping ended at a bound" in line for line in accuracy_lines(table.model.uncertainty))
+
+
 # Flight to flight
 
 

@@ -33,7 +33,7 @@ from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
-from rotorfit.estimation.likelihood.fisher_scoring import Optimum, at_bound, maximise
+from rotorfit.estimation.likelihood.fisher_scoring import EDGE, Optimum, at_bound, maximise
 from rotorfit.estimation.likelihood.likelihood import inverted, score, segments, whiten
 from rotorfit.estimation.likelihood.prior import with_prior
 from rotorfit.estimation.regression.paper import newey_west
@@ -147,6 +147,9 @@ LEVEL_STEP = 0.1
 LAG = 2.0
 """Lag up to which the contributions to the score count as correlated [s]."""
 
+MOST_AT_BOUND = 0.05
+"""Share of the bootstrap's estimates at a bound of the search above which their scatter shows the bound, not the error."""
+
 SHARPER = 0.5
 """A combination is reported for a pair if its relative error is below this share of the pair's smaller one."""
 
@@ -172,7 +175,9 @@ def with_uncertainty(fit: Fit, progress: Progress | None = None, flights: int = 
         report(number / len(known), f"five standard errors of {name}")
         if id(estimate.optimum) not in spread:
             drawn = bootstrap(estimate.records, estimate.optimum, flights, seed)
-            spread[id(estimate.optimum)] = drawn.std(axis=0, ddof=1)
+            low, high = estimate.optimum.point.bounds()
+            stuck = ((drawn <= low + EDGE) | (drawn >= high - EDGE)).mean(axis=0) > MOST_AT_BOUND
+            spread[id(estimate.optimum)] = np.where(stuck, np.nan, drawn.std(axis=0, ddof=1))
         serving = serving_flights(fit, estimate)
         combinations = fit.model.axes[name].combinations
         axes[name] = _axis(estimate, spread[id(estimate.optimum)], scatter(estimate, serving), combinations)
@@ -189,7 +194,7 @@ def serving_flights(fit: Fit, estimate: Estimate) -> list[int]:
 def _axis(
     estimate: Estimate, drawn: Array, scattered: Scatter | None, combinations: Mapping[str, Combination]
 ) -> AxisAccuracy:
-    """The table of one axis; `drawn` are the bootstrap's standard errors of all parameters."""
+    """The table of one axis; `drawn` are the bootstrap's standard errors of all parameters, NaN for none."""
     records, optimum, k = estimate.records, estimate.optimum, estimate.place
     point, K = optimum.point, optimum.point.gain.size
     at = [k, K + k, 2 * K + k]
@@ -200,21 +205,26 @@ def _axis(
     seen, *others = (observed_covariance(records, optimum, step) for step in (OBSERVED_STEP, *OTHER_STEPS))
     robust = _errors(sandwich_covariance(records, optimum), at) * scale
     alone = scale / np.sqrt(np.maximum(np.diag(optimum.score.information)[at], 1e-300))
+    varied = (optimum.free & ~at_bound(point, optimum.score.gradient))[at]
     rows = {}
     for i, name in enumerate(COEFFICIENTS):
-        observed, *again = (None if C is None else float(_errors(C, at)[i] * scale[i]) for C in (seen, *others))
+        observed, *again = (
+            None if C is None or not varied[i] else float(_errors(C, at)[i] * scale[i]) for C in (seen, *others)
+        )
         size = abs(float(values[i]))
         rows[name] = Accuracy(
             value=float(values[i]),
             expected=float(expected[i]),
             observed=observed,
-            ragged=observed is None or any(o is None or abs(o - observed) > RAGGED * observed for o in again),
+            ragged=observed is None
+            or not varied[optimum.free[at]].all()
+            or any(o is None or abs(o - observed) > RAGGED * observed for o in again),
             sandwich=float(robust[i]),
-            bootstrap=float(drawn[at[i]] * scale[i]),
+            bootstrap=float(drawn[at[i]] * scale[i]) if varied[i] and np.isfinite(drawn[at[i]]) else None,
             scatter=None if scattered is None else float(expected[i]) * scattered.factor[name],
             percent=100 * float(expected[i]) / size if size else None,
             insensitivity=100 * float(alone[i]) / size if size else None,
-            disturbance=None if seen is None else _with_levels(seen, at[i], point.n),
+            disturbance=None if seen is None or observed is None else _with_levels(seen, at[i], point.n),
         )
     correlation = _correlation(covariance)[np.ix_(at, at)]
     together = _inseparable(correlation, rows, combinations)

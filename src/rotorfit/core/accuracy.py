@@ -21,10 +21,12 @@ class Accuracy:
         value: Estimate, as in the predictor.
         expected: Standard error from the expected information (Cramer-Rao).
         observed: Standard error from the observed information, by finite differences of the score; None where the
-            log-likelihood has no maximum here.
-        ragged: Whether `observed` depends on the step of the differences and is unreliable.
+            log-likelihood has no maximum here, as at a bound of the search.
+        ragged: Whether `observed` is unreliable: it depends on the step of the differences, or another coefficient of
+            the axis was held at a bound.
         sandwich: Standard error from the scatter of the score itself, allowing for autocorrelation.
-        bootstrap: Standard error from resampled flights; None if the bootstrap was not requested.
+        bootstrap: Standard error from resampled flights; None where the estimate, or too many of those of the resampled
+            flights, are at a bound of the search.
         scatter: `expected`, widened by the disagreement of the flights; None for fewer than two flights.
         percent: `expected` in per cent of the value; None where the value is 0.
         insensitivity: 100 / (|value| sqrt(F)), F the information about this coefficient alone, in per cent.

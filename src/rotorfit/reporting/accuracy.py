@@ -35,7 +35,7 @@ def error_rows(table: Uncertainty) -> Iterator[tuple[str, ...]]:
                 axis if i == 0 else "",
                 name,
                 f"{known.expected:.2g}",
-                f"{observed}{'~' if known.ragged else ' '}",
+                f"{observed}{'~' if known.ragged and known.observed is not None else ' '}",
                 f"{known.sandwich:.2g}",
                 *("-" if value is None else f"{value:.2g}" for value in (known.bootstrap, known.scatter)),
             )
@@ -48,8 +48,8 @@ def accuracy_lines(table: Uncertainty) -> Iterator[str]:
         f"{INSENSITIVITY_LIMIT:g}, correlation beyond {CORRELATION_LIMIT:g}"
     )
     yield (
-        f"observed: differences of the score over {table.observed_step:g} standard error; ~ depends on that step, do "
-        "not rely on it"
+        f"observed: differences of the score over {table.observed_step:g} standard error; ~ depends on that step, or "
+        "on a coefficient at a bound: do not rely on it"
     )
     yield f"sandwich: scores correlated up to {table.sandwich_lag:g} s"
     yield (
@@ -65,6 +65,12 @@ def accuracy_lines(table: Uncertainty) -> Iterator[str]:
                     f"; their {pair.combination.replace('_', ' ')} is known: {pair.value:.4g} ({low:.4g} to {high:.4g})"
                 )
             yield f"{axis}: {' and '.join(pair.pair)} move together (correlation {pair.correlation:+.2f}){known}"
+        bounded = [name for name, known in one.coefficients.items() if known.bootstrap is None]
+        if bounded:
+            yield (
+                f"{axis}: the search for {' and '.join(bounded)} ended at a bound, or did on more than a few of the "
+                "flights drawn: no standard error describes that, see the interval"
+            )
         for name, known_one in one.coefficients.items():
             if known_one.disturbance is not None and known_one.disturbance > CORRELATION_LIMIT:
                 yield f"{axis}: {name} and the disturbance move together (correlation {known_one.disturbance:.2f})"
