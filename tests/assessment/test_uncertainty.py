@@ -87,7 +87,8 @@ def test_a_servo_faster_than_its_commands_has_one_gain_and_it_is_told() -> None:
     """Slow sines on a fast axis: input and damping are one, their ratio is known."""
     result = fit_as_flown([flown(Truth(), partial(two_sines, axes=("z",), amplitude=2.0), 50.0, 2)], axes=("z",))
 
-    table = with_uncertainty(result, flights=5).model.uncertainty
+    model = with_uncertainty(result, flights=5).model
+    table = model.uncertainty
     assert table is not None
     (pair,) = (p for p in table.axes["z"].inseparable if p.pair == ("input", "damping"))
     assert pair.correlation > 0.9
@@ -95,8 +96,8 @@ def test_a_servo_faster_than_its_commands_has_one_gain_and_it_is_told() -> None:
     assert pair.ci95 is not None
     low, high = pair.ci95
     assert low < GAMMA_B[4] / GAMMA_B[5] < high
-    assert any("steady gain is known" in line for line in accuracy_lines(table))
-    assert any(cell.endswith("!") for row in percent_rows(table) for cell in row)
+    assert any("steady gain is known" in line for line in accuracy_lines(table, model.axes))
+    assert any(cell.endswith("!") for row in percent_rows(table, model.axes) for cell in row)
 
 
 def test_the_observed_information_does_not_depend_on_the_step_where_the_score_is_smooth() -> None:
@@ -127,17 +128,33 @@ def test_the_sandwich_sees_a_wobble_that_the_expected_information_does_not() -> 
 def test_a_coefficient_at_a_bound_has_no_standard_error_there() -> None:
     growing = Truth(gamma=(*GAMMA_B[:5], -0.1, *GAMMA_B[6:]))  # the search keeps the damping positive
 
-    table = with_uncertainty(fit_as_flown([flown(growing, steps(("z",), seed=4), 20.0, 4)], ("z",)), flights=3)
-    assert table.model.uncertainty is not None
+    model = with_uncertainty(fit_as_flown([flown(growing, steps(("z",), seed=4), 20.0, 4)], ("z",)), flights=3).model
+    table = model.uncertainty
+    assert table is not None
 
-    known = table.model.uncertainty.axes["z"].coefficients
+    known = table.axes["z"].coefficients
     assert known["damping"].value == pytest.approx(0.001)
     assert known["damping"].observed is None
     assert known["damping"].bootstrap is None
     assert known["input"].observed is not None
     assert known["input"].ragged  # the damping was held
-    assert [row[3].strip() for row in error_rows(table.model.uncertainty)][1] == "-"
-    assert any("damping ended at a bound" in line for line in accuracy_lines(table.model.uncertainty))
+    assert [row[3].strip() for row in error_rows(table)][1] == "-"
+    assert any("damping ended at a bound" in line for line in accuracy_lines(table, model.axes))
+    assert [row[2].strip() for row in percent_rows(table, model.axes)][1] == "(0.001)"
+
+
+def test_the_table_says_which_law_it_is_of_and_has_its_further_parameters() -> None:
+    model = with_uncertainty(
+        fit([flown(Truth(), steps(("z",), seed=4), 20.0, 4)], axes=("z",), structure="first_order_delay_lag"), flights=2
+    ).model
+    table = model.uncertainty
+    assert table is not None
+
+    assert list(table.axes["z"].coefficients) == [*COEFFICIENTS, "lag"]
+    assert table.axes["z"].correlation[3][2] < -0.9  # this vehicle has no lag
+    assert any("delay and lag move together" in line for line in accuracy_lines(table, model.axes))
+    assert [len(row) for row in percent_rows(table, model.axes)] == [8] * 4
+    assert "z first_order_delay_lag" in next(accuracy_lines(table, model.axes))
 
 
 # Flight to flight
@@ -226,7 +243,7 @@ def test_axes_without_numbers_are_not_in_the_table_and_every_row_is_full() -> No
     assert table is not None
 
     assert list(table.axes) == ["z"]
-    assert [len(row) for row in percent_rows(table)] == [8, 8, 8]
+    assert [len(row) for row in percent_rows(table, one_flight().model.axes)] == [8, 8, 8]
     assert [len(row) for row in error_rows(table)] == [7, 7, 7]
 
 

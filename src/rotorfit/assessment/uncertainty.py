@@ -33,6 +33,8 @@ from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.coefficients import natural_slopes
+from rotorfit.estimation.likelihood.extra_parameters import estimated_extras
 from rotorfit.estimation.likelihood.fisher_scoring import EDGE, Optimum, at_bound, maximise
 from rotorfit.estimation.likelihood.likelihood import inverted, score, segments, whiten
 from rotorfit.estimation.likelihood.prior import with_prior
@@ -148,12 +150,12 @@ LAG = 2.0
 """Lag up to which the contributions to the score count as correlated [s]."""
 
 MOST_AT_BOUND = 0.05
-"""Share of the bootstrap's estimates at a bound of the search above which their scatter shows the bound, not the error."""
+"""Share of the bootstrap's estimates at a bound of the search above which their scatter is that of the bound."""
 
 SHARPER = 0.5
 """A combination is reported for a pair if its relative error is below this share of the pair's smaller one."""
 
-_COMBINED = {("input", "damping"): "steady_gain", ("damping", "delay"): "total_lag"}
+_COMBINED = {("input", "damping"): "steady_gain", ("damping", "delay"): "total_lag", ("delay", "lag"): "delay_plus_lag"}
 
 
 def with_uncertainty(fit: Fit, progress: Progress | None = None, flights: int = COUNT, seed: int = SEED) -> Fit:
@@ -196,10 +198,12 @@ def _axis(
 ) -> AxisAccuracy:
     """The table of one axis; `drawn` are the bootstrap's standard errors of all parameters, NaN for none."""
     records, optimum, k = estimate.records, estimate.optimum, estimate.place
-    point, K = optimum.point, optimum.point.gain.size
-    at = [k, K + k, 2 * K + k]
-    values = np.array([point.gain[k], np.exp(point.log_damping[k]), point.delay[k]])
-    scale = np.array([1.0, values[1], 1.0])
+    point, further = optimum.point, [extra.name for extra in estimated_extras(optimum, k)]
+    names = [*COEFFICIENTS, *further]
+    at = [point.place(name, k) for name in names]
+    extra = point.extra_values(k)
+    values = [point.gain[k], np.exp(point.log_damping[k]), point.delay[k], *(extra[name] for name in further)]
+    scale = natural_slopes(optimum, k)
     covariance = optimum.covariance
     expected = _errors(covariance, at) * scale
     seen, *others = (observed_covariance(records, optimum, step) for step in (OBSERVED_STEP, *OTHER_STEPS))
@@ -207,7 +211,7 @@ def _axis(
     alone = scale / np.sqrt(np.maximum(np.diag(optimum.score.information)[at], 1e-300))
     varied = (optimum.free & ~at_bound(point, optimum.score.gradient))[at]
     rows = {}
-    for i, name in enumerate(COEFFICIENTS):
+    for i, name in enumerate(names):
         observed, *again = (
             None if C is None or not varied[i] else float(_errors(C, at)[i] * scale[i]) for C in (seen, *others)
         )
@@ -221,7 +225,7 @@ def _axis(
             or any(o is None or abs(o - observed) > RAGGED * observed for o in again),
             sandwich=float(robust[i]),
             bootstrap=float(drawn[at[i]] * scale[i]) if varied[i] and np.isfinite(drawn[at[i]]) else None,
-            scatter=None if scattered is None else float(expected[i]) * scattered.factor[name],
+            scatter=float(expected[i]) * scattered.factor[name] if scattered and name in scattered.factor else None,
             percent=100 * float(expected[i]) / size if size else None,
             insensitivity=100 * float(alone[i]) / size if size else None,
             disturbance=None if seen is None or observed is None else _with_levels(seen, at[i], point.n),
@@ -316,8 +320,8 @@ def _inseparable(
 ) -> tuple[Inseparable, ...]:
     """Pairs whose correlation exceeds the limit, each with the combination that the data do determine."""
     found = []
-    for i, one in enumerate(COEFFICIENTS):
-        for j, other in enumerate(COEFFICIENTS[:i]):
+    for i, one in enumerate(rows):
+        for j, other in enumerate(list(rows)[:i]):
             if abs(correlation[i, j]) > CORRELATION_LIMIT:
                 pair = Inseparable((other, one), float(correlation[i, j]))
                 name = _COMBINED.get(pair.pair)

@@ -108,11 +108,11 @@ class Inseparable:
 
 @dataclass(frozen=True)
 class AxisAccuracy:
-    """The accuracy table of one axis.
+    """The accuracy table of one axis: of the flights of the fit and of the leading law alone.
 
     Attributes:
-        coefficients: Coefficient name to its five standard errors.
-        correlation: Correlation of (input, damping, delay), from the expected information, 3 rows of 3.
+        coefficients: Name of each coefficient, then of each further parameter of the law, to its five standard errors.
+        correlation: Correlation of these, from the expected information, a row for each.
         inseparable: Pairs whose correlation exceeds the limit.
         scatter: Agreement of the flights; None for fewer than two.
     """

@@ -1,27 +1,28 @@
 """The accuracy of a model, as rows of text."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from rotorfit.core.accuracy import COEFFICIENT_ERROR_LIMIT, CORRELATION_LIMIT, INSENSITIVITY_LIMIT, Uncertainty
+from rotorfit.core.model import COEFFICIENTS, Axis
 
 PERCENT_HEADS = ("axis", "coefficient", "estimate", "error %", "insens. %", "corr. input", "damping", "delay")
 
 ERROR_HEADS = ("axis", "standard error", "expected", "observed", "sandwich", "bootstrap", "flights")
 
 
-def percent_rows(table: Uncertainty) -> Iterator[tuple[str, ...]]:
-    """Cells under `PERCENT_HEADS`; values beyond their limit are marked."""
+def percent_rows(table: Uncertainty, axes: Mapping[str, Axis]) -> Iterator[tuple[str, ...]]:
+    """Cells under `PERCENT_HEADS`; values beyond their limit are marked, estimates that are not published bracketed."""
     for axis, one in table.axes.items():
         for i, (name, known) in enumerate(one.coefficients.items()):
             yield (
                 axis if i == 0 else "",
                 name,
-                f"{known.value:.4g}",
+                f"{known.value:.4g} " if axes[axis].status[name] == "ok" else f"({known.value:.4g})",
                 _percent(known.percent, COEFFICIENT_ERROR_LIMIT),
                 _percent(known.insensitivity, INSENSITIVITY_LIMIT),
                 *(
                     "" if j > i else f"{value:+.2f}{'!' if j < i and abs(value) > CORRELATION_LIMIT else ' '}"
-                    for j, value in enumerate(one.correlation[i])
+                    for j, value in enumerate(one.correlation[i][: len(COEFFICIENTS)])
                 ),
             )
 
@@ -41,8 +42,17 @@ def error_rows(table: Uncertainty) -> Iterator[tuple[str, ...]]:
             )
 
 
-def accuracy_lines(table: Uncertainty) -> Iterator[str]:
-    """How the table was made, which coefficients cannot be separated, and how well the flights agree."""
+def accuracy_lines(table: Uncertainty, axes: Mapping[str, Axis]) -> Iterator[str]:
+    """What the table is of, how it was made, what cannot be separated, and how well the flights agree."""
+    weighed = {axis: axes[axis].laws[0].weight for axis in table.axes if axes[axis].laws}
+    laws = (
+        f"{axis} {axes[axis].structure}" + (f" (weight {100 * weighed[axis]:.0f} %)" if axis in weighed else "")
+        for axis in table.axes
+    )
+    yield (
+        f"all of it is of the flights of this fit and of one law, {', '.join(laws)}: go by the intervals of the vehicle, "
+        f"which also hold flights to come{' and the other laws' if weighed else ''}; (estimate): see its status"
+    )
     yield (
         f"error %: expected (Cramer-Rao); ! beyond {COEFFICIENT_ERROR_LIMIT:g}, insensitivity beyond "
         f"{INSENSITIVITY_LIMIT:g}, correlation beyond {CORRELATION_LIMIT:g}"

@@ -47,13 +47,15 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     yield indented(f"input is per command of 1{legend}", 0, "dim")
     yield from bullets(_search_lines(known))
     if model.uncertainty:
-        for heads, cells_of in ((PERCENT_HEADS, percent_rows), (ERROR_HEADS, error_rows)):
+        table_of, by_axis = model.uncertainty, model.axes
+        parts = ((PERCENT_HEADS, percent_rows(table_of, by_axis)), (ERROR_HEADS, error_rows(table_of)))
+        for heads, rows_of in parts:
             yield ""
             out = table(*heads, left=(0, 1), gap=1)
-            for cells in cells_of(model.uncertainty):
+            for cells in rows_of:
                 out.add_row(*cells)
             yield out
-        yield from bullets(accuracy_lines(model.uncertainty))
+        yield from bullets(accuracy_lines(table_of, by_axis))
     rows = [row for row in physics_rows(model) if row.axis in wanted]
     if rows:
         yield ""

@@ -193,7 +193,7 @@ def covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Ma
     for numbers in blocks.values():
         optimum, places = estimates[numbers[0]].optimum, [estimates[n].place for n in numbers]
         at = [optimum.point.place(name, k) for n, k in zip(numbers, places, strict=True) for name in names[n]]
-        scale = np.concatenate([_natural(optimum, k) for k in places])
+        scale = np.concatenate([natural_slopes(optimum, k) for k in places])
         C = bounded_covariance(optimum, {k: results[group[n]].ci95 for n, k in zip(numbers, places, strict=True)})[
             np.ix_(at, at)
         ]
@@ -201,7 +201,7 @@ def covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Ma
     return out
 
 
-def _natural(optimum: Optimum, k: int) -> Array:
+def natural_slopes(optimum: Optimum, k: int) -> Array:
     """Derivatives of the coefficients and further parameters of axis k with respect to the estimator's coordinates."""
     values = optimum.point.extra_values(k)
     further = [values[extra.name] if extra.logarithmic else 1.0 for extra in estimated_extras(optimum, k)]
