@@ -50,7 +50,7 @@ def accuracy_lines(table: Uncertainty, axes: Mapping[str, Axis]) -> Iterator[str
         for axis in table.axes
     )
     yield (
-        f"all of it is of the flights of this fit and of one law, {', '.join(laws)}: go by the intervals of the vehicle, "
+        f"all of it is of the flights of this fit and of one law, {', '.join(laws)}: go by the vehicle's intervals, "
         f"which also hold flights to come{' and the other laws' if weighed else ''}; (estimate): see its status"
     )
     yield (
