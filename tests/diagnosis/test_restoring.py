@@ -15,6 +15,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.diagnosis.position_loop import EARLY, restoring_findings, restoring_law
 from rotorfit.diagnosis.recording import recording_of
 from rotorfit.dynamics.kinematics import motion_from_flight
+from rotorfit.estimation.fitting import fit
 from rotorfit.files.log_span import parse_log
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.simulation.paper_vehicle import Controller, Truth, as_log, simulate_flight
@@ -67,6 +68,29 @@ def test_a_loop_that_is_read_backwards_is_never_a_model_however_late_the_poses_a
     told = findings_of_fit(done)
     assert "sign_flipped" not in {finding.code for finding in told}
     assert all("only a response to the motion" in finding.evidence for finding in told if finding.code == "not_excited")
+
+
+@pytest.mark.parametrize("method", ["paper", "svf", "weak", "oe"])
+def test_no_method_takes_a_position_controller_for_the_vehicle(method: str) -> None:
+    done = fit([held()], method, ("x", "z"))
+
+    assert {axis: done.model.axes[axis].status["input"] for axis in "xz"} == {"x": "not_excited", "z": "ok"}
+    assert {name.split(".")[0] for name in done.model.covariance_names} == {"z"}
+    (told,) = (finding for finding in findings_of_fit(done) if finding.code == "not_excited")
+    assert told.axis == "x"
+    assert "only a response to the motion" in told.evidence
+
+
+def test_a_held_axis_whose_commands_are_mostly_noise_of_its_poses_has_no_numbers_by_any_regression() -> None:
+    truth = replace(Truth(), wind_sigma=(0.015,) * 4)
+    still = simulate_flight(truth, steps(()), 40.0, 0, controller=Controller(2.0, 2.0))
+    flight = flight_from_log(as_log(still), CARD)
+    assert restoring_law(flight, "yaw") is None
+
+    done = fit([flight], "weak", ("yaw",))
+
+    assert done.model.axes["yaw"].status["input"] == "not_excited"
+    assert "not_excited" in {finding.code for finding in findings_of_fit(done)}
 
 
 def test_a_card_with_a_wrong_sign_is_no_feedback_even_of_a_vehicle_as_quick_as_a_servo() -> None:

@@ -206,12 +206,13 @@ def _weak(axis: Axis) -> bool:
 
 def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: str) -> Iterator[Finding]:
     status = axis.status["input"]
-    if status == "not_excited" and flights and axis.noise:
+    held = status == "not_excited" and bool(restored_axes(flights, [name]))
+    if held or (status == "not_excited" and flights and axis.noise):
         yield Finding(
             "not_excited",
             "warning",
             f"the {name} command is only a response to the motion, as from a position controller"
-            if restored_axes(flights, [name])
+            if held
             else f"the {name} command explains nothing: with it the motion is predicted no better than without it",
             f"no coefficient of {name} is a number",
             f"fly {name} with the paper's two sines or larger steps, not only with a position controller's corrections",

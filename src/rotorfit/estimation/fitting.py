@@ -52,6 +52,10 @@ Priors = Mapping[str, Mapping[str, Prior]]
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval required [s]."""
 
+HELD = "the command is only a response to the motion, as from a position controller"
+SILENT = "with the command the motion is predicted no better than without it"
+"""Why a regression gives no numbers of an axis whose commands seem to explain its motion."""
+
 IMPOSSIBLE, ROUGH = 100.0, 10.0
 """Fall of the log-likelihood beyond which a drawn delay counts as impossible, and the expected gain at which its climb
 stops: most of the climbing would be spent there, and no chart shows the difference."""
@@ -229,9 +233,9 @@ def _found(
     def found_of(group: Sequence[str]) -> _Found:
         if METHODS[method].likelihood:
             return _likelihood_group(flights, group, priors, structure, motion_of)
-        if METHODS[method].estimator:
-            return _regression_group(flights, group, method)
-        return _paper_group(flights, group, paper)
+        regression = METHODS[method].estimator
+        found = _regression_group(flights, group, method) if regression else _paper_group(flights, group, paper)
+        return _without_idle(found, flights, group, method, motion_of)
 
     every = parallel.each(found_of, groups, _duration(flights))
     for number, group in enumerate(groups):
@@ -549,6 +553,31 @@ def _paper_noise(flights: Sequence[Flight], axes: Sequence[str], paper: PaperFit
     groups = groups_of(flights, axes)
     parts = parallel.each(lambda group: _paper_group(flights, group, paper).axes, groups, _duration(flights))
     return {axis: known.noise for part in parts for axis, known in part.items() if known.noise}
+
+
+def _without_idle(
+    found: _Found, flights: Sequence[Flight], group: Sequence[str], method: str, motion_of: MotionOf
+) -> _Found:
+    """The results of a method without the axes that are not excited by the tests of the likelihood.
+
+    On an axis that a position controller only holds, every regression finds that controller's numbers, and sure ones.
+    The paper's regression, which is there for comparison, is not judged by the predictions of the likelihood.
+    """
+    held = restored_axes(serving_flights(flights, group), group, motion_of=motion_of)
+    told = [axis for axis in group if found.axes[axis].predictor and axis not in held]
+    searched = estimate_group(flights, group, {}, motion_of) if told and METHODS[method].estimator else {}
+    silent = {axis: searched[axis] for axis in told if axis in searched and not searched[axis].excited}
+    if not (held or silent):
+        return found
+    idle = dict.fromkeys(held, replace(unknown_axis("not_excited"), trim=(None,) * len(flights)))
+    if silent:
+        idle |= _group_axes(flights, group, silent)[0]
+    return replace(
+        found,
+        axes={**found.axes, **idle},
+        covariance=_only(found.covariance, [axis for axis in group if axis not in idle]),
+        remarks={**found.remarks, **dict.fromkeys(held, HELD), **dict.fromkeys(silent, SILENT)},
+    )
 
 
 def _regression_group(flights: Sequence[Flight], group: Sequence[str], method: str) -> _Found:
