@@ -1,7 +1,8 @@
 """Convert: gains follow the limits, everything else stays, there and back is where it began."""
 
 import json
-from dataclasses import replace
+import tomllib
+from dataclasses import astuple, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,15 @@ from models import VEHICLE, demo_card, model_of
 from rotorfit.app.cli import main
 from rotorfit.app.workflows import training_flights
 from rotorfit.assessment.plausibility import findings_of_settings
+from rotorfit.core.accuracy import PriorUse
 from rotorfit.core.errors import CardError, ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import limits_from_text
-from rotorfit.core.model import Combination, Model
+from rotorfit.core.model import Combination, Model, Spread
 from rotorfit.core.physics import physics
 from rotorfit.dynamics.other_limits import convert, scaled
 from rotorfit.dynamics.trajectory import simulate
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import load, save, to_mapping
 from rotorfit.planning.signals import two_sines
 from rotorfit.reporting.reproduce import recipe_of
@@ -115,6 +118,32 @@ def test_there_and_back_the_file_has_the_same_numbers_and_no_conversion() -> Non
     assert again.conversion is None
     assert again.card.raw == model.card.raw
     assert again.findings == model.findings
+
+
+def test_priors_go_with_the_gains_there_and_back_and_the_recipe_has_those_of_the_flights() -> None:
+    given = {"z": {"input": {"mean": 2.4, "sd": 0.2}, "damping": {"mean": 2.0, "sd": 0.3}}}
+    card = card_from_mapping({**model_of().card.raw, "prior": given}, "test")
+    used = {"z.input": PriorUse(2.4, 0.2, 2.5, 0.3, 0.1, 0.5), "z.damping": PriorUse(2.0, 0.3, 2.1, 0.1, 0.1, 0.3)}
+    model = replace(model_of(), card=card, prior=used)
+    other = convert(model, OTHER)
+
+    assert other.prior is not None
+    assert astuple(other.prior["z.input"]) == pytest.approx((6.0, 0.5, 6.25, 0.3, 0.1, 0.5))
+    assert other.prior["z.damping"] == used["z.damping"]
+    assert astuple(other.card.prior["z"]["input"]) == pytest.approx((6.0, 0.5))
+    assert other.card.prior["z"]["damping"] == card.prior["z"]["damping"]
+    assert numbers(file_of(convert(other, BACK))) == pytest.approx(numbers(file_of(model)), rel=1e-13)
+    recipe = tomllib.loads(recipe_of(other, ()).card)
+    assert recipe["prior"]["z"]["input"] == pytest.approx(given["z"]["input"])
+
+
+def test_what_each_flight_gave_is_scaled_with_the_spread_of_logarithms() -> None:
+    spread = Spread("flights", 0.1, 0.1, 0.1, 2, 0.5, (1.0, 2.0), True, ((0.5, 0.1), None))
+
+    other = scaled({"input": spread}, 2.0)["input"]
+
+    assert other.each == ((pytest.approx(0.5 + np.log(2)), 0.1), None)
+    assert (other.sd, other.next_flight) == (0.1, (2.0, 4.0))
 
 
 def test_two_conversions_are_one() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.accuracy import PriorUse
 from rotorfit.core.card import Card
 from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import Finding
@@ -40,9 +41,10 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
     """The same vehicle under other limits.
 
     Gains of axes whose commands are fractions of a changed limit are multiplied by tan(t') / tan(t) for the tilt, and
-    by the ratio for speeds and rates: input gains, steady gains, their errors and intervals, optima, the covariance and
-    the paper's coefficients. Everything else stays. Commands u of the old setting are u divided by that factor under
-    the new one; then both models predict the same motion. The accuracy table and the leave-one-out are dropped.
+    by the ratio for speeds and rates: input gains, steady gains, their errors and intervals, optima, the covariance,
+    the paper's coefficients, and priors of the input in model and card. Everything else stays. Commands u of the old
+    setting are u divided by that factor under the new one; then both models predict the same motion. The accuracy table
+    and the leave-one-out are dropped.
 
     Args:
         model: Its card defines the meaning of the commands and the old limits.
@@ -72,7 +74,7 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
     check_cross_inputs(model, factors)
     converted = replace(
         model,
-        card=card,
+        card=_with_prior(card, factors),
         axes={name: scaled(axis, factors[name]) for name, axis in model.axes.items()},
         covariance=_covariance(model, factors),
         paper=tuple(
@@ -80,6 +82,7 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
             for k, value in enumerate(model.paper)
         ),
         conversion=_conversion(model, card, factors),
+        prior=model.prior and {name: _prior_use(name, use, factors) for name, use in model.prior.items()},
         uncertainty=None,  # these two belong to the flights as flown
         leave_one_out=None,
     )
@@ -110,8 +113,31 @@ def _card_under(model: Model, limits: Mapping[str, Any]) -> Card:
     return _flown_under(model, model.conversion)
 
 
+def _with_prior(card: Card, factors: Mapping[str, float]) -> Card:
+    """The card with the priors of gains scaled."""
+    if not card.prior:
+        return card
+    prior = {axis: scaled(one, factors[axis]) for axis, one in card.raw["prior"].items()}
+    return card_from_mapping({**card.raw, "prior": prior}, "under other limits")
+
+
+def flown_card(model: Model) -> Card:
+    """The card of the flights that a model was fitted to, under their limits."""
+    if model.conversion is None:
+        return model.card
+    back = {axis: 1 / factor for axis, factor in model.conversion.factor.items()}
+    return _with_prior(_flown_under(model, model.conversion), back)
+
+
+def _prior_use(name: str, use: PriorUse, factors: Mapping[str, float]) -> PriorUse:
+    """The effect of a prior on a coefficient, such as `x.input`; what is told in standard errors has no unit."""
+    axis, part = name.split(".", 1)
+    factor = factors[axis] ** PER_COMMAND.get(part, 0)
+    return replace(use, mean=use.mean * factor, sd=use.sd * factor, data=use.data * factor)
+
+
 def _flown_under(model: Model, conversion: Conversion) -> Card:
-    """The card of the flights that the model was fitted to."""
+    """The card with the limits of the flights that the model was fitted to."""
     return card_from_mapping({**model.card.raw, "limits": conversion.limits}, "of the fit")
 
 
@@ -157,7 +183,9 @@ def scaled(value: Any, factor: float, power: int = 0) -> Any:
     if isinstance(value, Evidence):
         return value
     if isinstance(value, Spread) and value.logarithmic:  # spreads of logarithms have no unit
-        return replace(value, next_flight=scaled(value.next_flight, factor, power))
+        shift = power * float(np.log(factor))
+        each = tuple(one and (one[0] + shift, one[1]) for one in value.each)
+        return replace(value, next_flight=scaled(value.next_flight, factor, power), each=each)
     if is_dataclass(value) and not isinstance(value, type):
         parts = {each.name: getattr(value, each.name) for each in fields(value)}
         return replace(value, **scaled(parts, factor, power))

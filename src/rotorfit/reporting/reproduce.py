@@ -11,6 +11,7 @@ from typing import Any
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import STRUCTURE, Model
+from rotorfit.dynamics.other_limits import flown_card
 from rotorfit.estimation.methods import maximises_likelihood
 from rotorfit.version import __version__
 
@@ -64,7 +65,7 @@ def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
         tuple(commands),
         (*versions, ("Python", platform.python_version()), *used),
         (*training, *tested),
-        card_text({**model.card.raw, "limits": model.conversion.limits} if model.conversion else model.card.raw),
+        card_text(flown_card(model).raw),
     )
 
 
