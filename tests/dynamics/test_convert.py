@@ -144,6 +144,8 @@ def test_what_each_flight_gave_is_scaled_with_the_spread_of_logarithms() -> None
 
     assert other.each == ((pytest.approx(0.5 + np.log(2)), 0.1), None)
     assert (other.sd, other.next_flight) == (0.1, (2.0, 4.0))
+    plain = scaled({"dead_zone": replace(spread, logarithmic=False)}, 2.0)["dead_zone"]
+    assert (plain.sd, plain.flights, plain.p_value, plain.each) == (0.05, 2, 0.5, ((0.25, 0.05), None))
 
 
 def test_two_conversions_are_one() -> None:

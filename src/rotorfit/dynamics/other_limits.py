@@ -27,6 +27,8 @@ PER_COMMAND: Mapping[str, int] = {
     "cross_input": 1,
     "level": -1,
     "dead_zone": -1,
+    "flights": 0,  # a count and a probability, of a quantity in commands
+    "p_value": 0,
 }
 """Name of a parameter or combination to the power of the factor that it is multiplied by: 1 for quantities per command,
 -1 for quantities in commands. A number under another name inherits the power of what contains it, 0 at the top level.
