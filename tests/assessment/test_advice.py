@@ -128,6 +128,7 @@ def test_an_unstable_damping_of_the_papers_method_is_an_error_that_says_why() ->
     beside = found(fit([flight], "ml", axes=("x",)))
     assert beside["paper_damping_negative", "x"].severity == "info"
     assert ("damping_unstable", "x") not in beside
+    assert ("paper_damping_negative", "x") not in found(fit([flight], "svf", axes=("x",)))  # biased itself
 
 
 def test_regressions_say_that_their_intervals_leave_out_their_bias() -> None:

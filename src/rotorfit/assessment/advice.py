@@ -511,7 +511,8 @@ def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
 def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     name, damping = AXES[k], fit.model.paper[2 * k + 1]
     axis, gain = fit.model.axes[name], fit.model.paper[2 * k]
-    if fit.model.method == "paper" or damping is None or gain is None or damping >= 0 or not axis.predictor:
+    likely = METHODS[fit.model.method].likelihood  # a regression is biased itself
+    if not likely or damping is None or gain is None or damping >= 0 or not axis.predictor:
         return
     lost = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
     lag = axis.predictor.extra.get("lag")

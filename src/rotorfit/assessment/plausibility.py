@@ -172,10 +172,14 @@ def _against_published(model: Model) -> Iterator[Finding]:
         )
 
 
+_GAIN = {axis: f"{axis} gain" if axis in ("x", "y") else f"{axis} steady gain" for axis in AXES}
+"""What is compared with published sets beside the damping: of x and y the acceleration, of z and yaw the speed."""
+
+
 def _own(model: Model, axis: str) -> dict[str, float]:
     """Values of an axis to compare with published sets: damping, and gain where the card gives an expected one."""
     damping, ratio = model.axes[axis].damping, compared(model, axis).ratio
-    parts = {f"{axis} damping": damping, f"{axis} gain": ratio.value if ratio else None}
+    parts = {f"{axis} damping": damping, _GAIN[axis]: ratio.value if ratio else None}
     return {name: value for name, value in parts.items() if value is not None and value > 0}
 
 
@@ -188,5 +192,5 @@ def _theirs(known: PublishedSet) -> dict[str, float]:
             continue
         parts[f"{axis} damping"] = damping
         if known.command == "si":
-            parts[f"{axis} gain"] = abs(gain) / (GRAVITY if axis in ("x", "y") else damping)
+            parts[_GAIN[axis]] = abs(gain) / (GRAVITY if axis in ("x", "y") else damping)
     return parts
