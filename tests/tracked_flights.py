@@ -70,6 +70,14 @@ def changing() -> Any:
         sys.path.remove(bench)
 
 
+def changing_flight(
+    cause: str, vehicle: str, at: float, duration: float, seed: int = 1, loop: str = "closed", gusts: float = 0.3
+) -> Flight:
+    """A flight of the room with a change at an instant [s]."""
+    room = changing()
+    return room.changing_flight(seed, room.Scenario(cause, vehicle, loop, gusts, duration=duration, time=at)).flight  # type: ignore[no-any-return]
+
+
 @functools.cache
 def alarms(
     cause: str,
@@ -85,8 +93,7 @@ def alarms(
 
     It may have touched down between the times `touches` after the alarm [s].
     """
-    room = changing()
-    flight = room.changing_flight(seed, room.Scenario(cause, vehicle, loop, gusts, duration=at + most, time=at)).flight
+    flight = changing_flight(cause, vehicle, at, at + most, seed, loop, gusts)
     following, found = Following(LAW), list[Alarm]()
     for part, now in growing(flight, at - 8.0, GLANCE):
         low, high = (found[0].time + after if found else np.inf for after in touches)

@@ -141,6 +141,21 @@ def test_once_another_vehicle_was_told_no_axis_shows_the_earlier_model() -> None
     assert {one.earlier for one in following.look(part, now).axes.values()} == {""}
 
 
+def test_once_this_flight_has_told_an_axis_the_earlier_model_does_not_come_back() -> None:
+    """It was shown as the vehicle of the moment where numbers of this flight were taken back, as they disagreed."""
+    following = Following(LAW, 0.1, Earlier(own(), NAME))
+    part, now = until(known_flight(), 16.0), 16.0
+    told = following.look(part, now).axes
+    before = following.memory()
+
+    assert before["told_itself"] == sorted(axis for axis, one in told.items() if one.earlier == "") != []
+    part, now = next(growing(known_flight(), 5.0))
+    following = Following(LAW, 0.1, Earlier(own(), NAME))
+    following.recall({**following.memory(), "told_itself": ["x"]})
+    again = following.look(part, now).axes
+    assert (again["x"].earlier, again["x"].values["delay"], again["y"].earlier) == ("", None, NAME)
+
+
 def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:
     flight = replace(until(known_flight(), 16.0), axes=("x", "y"))
     same, other = (tracked(flight, LAW, 0.1, earlier=Earlier(one, NAME)) for one in (own(), scaled(own(), "x", 1.25)))

@@ -10,7 +10,7 @@ from flights import flown, steps, truth_of
 from other_laws import flown_by
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS, Interval, Predictor, Weighed, weighed
+from rotorfit.core.model import COEFFICIENTS, Evidence, Interval, Predictor, Weighed, weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.models import load, save
@@ -24,6 +24,7 @@ from rotorfit.tracking.refits import (
     REFIT_UNKNOWN,
     GroupEstimate,
     axis_report,
+    doubt_of,
     group_estimate,
     growth,
     read_backwards,
@@ -33,7 +34,7 @@ from rotorfit.tracking.refits import (
 )
 from rotorfit.tracking.regimes import SETTLES
 from rotorfit.tracking.replayed import growing, until
-from tracked_flights import LAW, TRUTH, known_flight
+from tracked_flights import LAW, TRUTH, known, known_flight
 
 pytestmark = pytest.mark.flights
 
@@ -429,3 +430,10 @@ def test_what_the_last_refit_refuted_is_not_told() -> None:
 
     assert axis_report(group_estimate(found, ("z",), 30.0), "z").values["zero"] is not None
     assert axis_report(group_estimate(judged, ("z",), 30.0), "z").values["zero"] is None
+
+
+def test_what_varies_with_time_is_no_doubt_about_the_law_but_maybe_the_change() -> None:
+    axis = known()[1].states[-1].model.axes["x"]  # type: ignore[union-attr]
+    found = [Evidence(test, "", 1e-6, {"input": sd}) for test, sd in (("time", 0.4), ("quarter", 0.2), ("size", 0.1))]
+
+    assert doubt_of(replace(axis, evidence=tuple(found))) == {"input": pytest.approx(0.1)}

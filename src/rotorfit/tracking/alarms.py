@@ -38,6 +38,7 @@ def rarest(
     flight: Flight,
     looked: Mapping[tuple[str, ...], Sequence[Contrast]],
     lengths: Sequence[float],
+    back: float,
     threshold: float,
 ) -> tuple[tuple[str, ...], Contrast, float] | None:
     """The contrast with the smallest p-value below a threshold: names of its scores, and its p-value in any air."""
@@ -48,7 +49,7 @@ def rarest(
     p_value = first.p_value
     if pushes(names, first):
         under = [scores_of_groups(known, flight, gusts) for gusts in range(1 + len(GUST_POWERS))]
-        p_value = max(p_value, in_any_air(names, under, lengths))
+        p_value = max(p_value, in_any_air(names, under, lengths, back))
     return (names, first, p_value) if p_value <= threshold else None
 
 
@@ -65,29 +66,35 @@ def seen_in_z_or_yaw(looked: Mapping[tuple[str, ...], Sequence[Contrast]], first
 def diagnosed(
     scored: Mapping[tuple[str, ...], Scores],
     names: tuple[str, ...],
-    best: Contrast,
+    shown: Sequence[Contrast],
     looked: Mapping[tuple[str, ...], Sequence[Contrast]],
     earlier: Mapping[tuple[str, ...], Sequence[Contrast]],
     odds: float,
 ) -> Diagnosis:
-    """Names a change by the contrast that shows it best, and what the other likelihoods show then.
+    """Names a change by a contrast that shows it, at each instant when it may have come, and what the others show then.
 
     Args:
         scored: Scores of each likelihood, by their names.
         names: Those of the likelihood that shows it.
-        best: Its contrast.
+        shown: Its contrast, or that of each instant.
         looked: All contrasts of this look, likewise.
         earlier: Those of the look that raised the alarm.
         odds: Logarithm of the odds of a push, from which follows the share of the evidence for other coefficients.
     """
-    others = [
-        (scores, there)
-        for other, scores in scored.items()
-        if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], best))
+    instants = [
+        [
+            (scored[names], one),
+            *(
+                (scores, there)
+                for other, scores in scored.items()
+                if other != names and (there := at_once(scores, [*earlier.get(other, ()), *looked[other]], one))
+            ),
+        ]
+        for one in shown
     ]
-    named = diagnosis([(scored[names], best), *others])
+    named = diagnosis(*instants)
     share = float(expit(-odds))
-    if not best.jolt or named.cause not in PUSHES or share < WORTH_SAYING:
+    if not shown[0].jolt or named.cause not in PUSHES or share < WORTH_SAYING:
         return named
     doubt = f"or it was no push but another delay, gain or damping, with {100 * share:.0f} % of the evidence"
     return replace(named, confidence=(1 - share) * named.confidence, why=f"{named.why}; {doubt}")

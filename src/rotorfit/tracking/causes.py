@@ -8,7 +8,9 @@ moved. Schwarz's criterion compares them by twice the negative logarithm of thei
 
 with the sum over the likelihoods: r is the residual sum of squares, d the number of directions, n the degrees of
 freedom of their variance (the shifts have a multivariate t distribution), k the number of parameters. The cause with
-the largest share of the evidence, summed over its subspaces, is named, and its share says how certain it is.
+the largest share of the evidence, summed over its subspaces, is named, and its share says how certain it is. Where the
+change may have come at several instants, the evidence is summed over these, too, with (n + d) log(1 + T / n) less in
+the costs of each: the likeliest one alone may be that at which a wrong cause fits by chance.
 
 Source: G. Schwarz, Ann. Statist. 6 (1978), pp. 461-464; K. L. Lange, R. J. A. Little, J. M. G. Taylor, J. Am. Statist.
 Assoc. 84 (1989), pp. 881-896 (multivariate t).
@@ -59,13 +61,53 @@ class Diagnosis:
     why: str
 
 
-def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
+def diagnosis(*instants: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     """Names the cause of a change.
 
     Args:
-        parts: Scores and contrast of each likelihood, for a change at one instant. A cause must involve the likelihood
-            with the largest statistic.
+        instants: For each instant at which it may have come, equally likely beforehand: scores and contrast of each
+            likelihood. A cause must involve the likelihood with the largest statistic.
     """
+    found = [each for parts in instants for each in _weighed(parts)]
+    most = max(one.evidence for one in found)
+    share = np.exp([one.evidence - most for one in found])
+    evidence = {
+        cause: float(sum(share[i] for i, one in enumerate(found) if one.cause == cause) / share.sum())
+        for cause in dict.fromkeys(one.cause for one in found)
+    }
+    cause = max(evidence, key=lambda one: evidence[one])
+    best = max((one for one in found if one.cause == cause), key=lambda one: one.evidence)
+    change = _intervals(best.names, best.shift, best.error, best.scale)
+    if cause in ("payload", "thrust"):  # what else moves follows the push
+        change = {name: interval for name, interval in change.items() if name.endswith(".trim")}
+    axes = tuple(dict.fromkeys(name.split(".")[0] for name in change))
+    second = max(((each, one) for one, each in evidence.items() if one != cause), default=None)
+    return Diagnosis(cause, axes, change, evidence[cause], _why(cause, second))
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A subspace of the shifts of a cause, at one instant.
+
+    Attributes:
+        cause: The cause.
+        evidence: Logarithm of its evidence, up to a constant that all instants share.
+        names: `AXIS.QUANTITY` of each coefficient that may shift.
+        scale: Its unit, shape (P,).
+        shift: Its shift by the cause, shape (P,).
+        error: The standard error of that, shape (P,); 0 where it does not shift.
+    """
+
+    cause: Cause
+    evidence: float
+    names: Sequence[str]
+    scale: Array
+    shift: Array
+    error: Array
+
+
+def _weighed(parts: Sequence[tuple[Scores, Contrast]]) -> list[_Weighed]:
+    """The evidence for each cause of a change that came at one instant."""
     names = [name for scores, _ in parts for name in scores.names]
     shift = np.concatenate([found.shift for _, found in parts])
     scale = np.concatenate([scores.scale for scores, _ in parts])
@@ -85,17 +127,13 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     for one, (_, found) in zip(own, parts, strict=True):
         off = np.array([shift[one] - moved[one] for moved, _ in fitted])
         residual = np.maximum(np.einsum("ij,jk,ik->i", off, precision[one, one], off), 0.0)
-        costs += (found.freedom + found.directions) * np.log1p(residual / found.freedom)
-    share = np.exp(-0.5 * (costs - costs.min()))
-    evidence = {cause: float(share[named == cause].sum() / share.sum()) for cause, _ in causes}
-    cause = max(evidence, key=lambda one: evidence[one])
-    moved, error = fitted[int(np.argmin(np.where(named == cause, costs, np.inf)))]
-    change = _intervals(names, moved, error, scale)
-    if cause in ("payload", "thrust"):  # what else moves follows the push
-        change = {name: interval for name, interval in change.items() if name.endswith(".trim")}
-    axes = tuple(dict.fromkeys(name.split(".")[0] for name in change))
-    second = max(((each, one) for one, each in evidence.items() if one != cause), default=None)
-    return Diagnosis(cause, axes, change, evidence[cause], _why(cause, second))
+        costs += (found.freedom + found.directions) * (
+            np.log1p(residual / found.freedom) - np.log1p(found.statistic / found.freedom)
+        )
+    return [
+        _Weighed(cause, -0.5 * float(cost), names, scale, moved, error)
+        for (cause, _), cost, (moved, error) in zip(causes, costs, fitted, strict=True)
+    ]
 
 
 def _bent(scores: Scores, found: Contrast) -> Array:

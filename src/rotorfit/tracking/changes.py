@@ -72,9 +72,9 @@ CORRELATED = 0.5
 TOGETHER = 0.5
 """Changes of several axes within this time count as one [s]."""
 
-SHARED = (("delay", AXES), ("input", ("x", "y")), ("input", ("x", "y", "z")))
+SHARED = (("delay", AXES), ("input", ("x", "y")), ("input", ("x", "y", "z")), ("input", AXES))
 """Coefficients, and the axes that one cause shifts alike: a radio or a clock delays all, a limit of tilt or speed
-scales x and y, and a mode of the autopilot z with them."""
+scales x and y, and a mode of the autopilot z, or z and yaw, with them."""
 
 LEAST_WINDOW = WINDOWS[0]
 """Shortest window that tells which coefficients shifted [s]: a shorter one takes one shift for another."""
@@ -145,10 +145,14 @@ def begun_at(scores: Scores, instant: float) -> Contrast | None:
     return found and replace(found, begun=True)
 
 
-def likeliest_begun(scores: Scores, since: tuple[float, float]) -> Contrast | None:
-    """The contrast of shifts that begin at the instant within an interval [s] that shows them best."""
-    tried = [one for t in instants_of(scores, since) if (one := begun_at(scores, float(t)))]
-    return max(tried, key=lambda one: one.statistic - 2 * one.directions, default=None)
+def begun_within(scores: Scores, since: tuple[float, float]) -> list[Contrast]:
+    """The contrasts of shifts that begin at each instant within an interval [s]."""
+    return [one for t in instants_of(scores, since) if (one := begun_at(scores, float(t)))]
+
+
+def likeliest_begun(begun: Sequence[Contrast]) -> Contrast | None:
+    """The contrast, of those at several instants, that shows a change best; None of none."""
+    return max(begun, key=lambda one: one.statistic - 2 * one.directions, default=None)
 
 
 @dataclass(frozen=True)
@@ -346,14 +350,14 @@ def _looked_for(scores: Scores, windows: Sequence[_Compared], jolts: "_Jolts | N
     return [*found, *_jolted([scores], [jolts]).values()]
 
 
-def looks(scores: Scores, lengths: Sequence[float] = WINDOWS) -> int:
-    """Number of contrasts that a look at these scores tests, with windows of some lengths [s]."""
+def looks(scores: Scores, lengths: Sequence[float] = WINDOWS, back: float = NEW) -> int:
+    """Number of contrasts that a look at these scores tests, with windows of some lengths and jolts so far back [s]."""
     long = sum(window >= OWN_GUSTS for window in lengths)
-    return len(lengths) * (len(_bases(scores.names)) - 1) + long + _instants(scores)
+    return len(lengths) * (len(_bases(scores.names)) - 1) + long + _instants(scores, back)
 
 
 def looked_together(
-    scored: Sequence[Scores], lengths: Sequence[float] = WINDOWS
+    scored: Sequence[Scores], lengths: Sequence[float] = WINDOWS, back: float = NEW
 ) -> tuple[dict[tuple[str, ...], list[Contrast]], int]:
     """The contrasts of all likelihoods, each by itself and together, and the number of tests of a look.
 
@@ -362,9 +366,10 @@ def looked_together(
     Args:
         scored: Scores of each likelihood.
         lengths: Lengths of the windows that are tested [s].
+        back: How far back jolts are tested [s].
     """
     windows = {scores.names: _windows(scores, lengths) for scores in scored}
-    jolts = {scores.names: _jolts_of(scores) for scores in scored}
+    jolts = {scores.names: _jolts_of(scores, back) for scores in scored}
     looked = {scores.names: _looked_for(scores, windows[scores.names], jolts[scores.names]) for scores in scored}
     pairs = list(itertools.combinations([scores for scores in scored if scores.jolts.size], 2))
     for pair in pairs:
@@ -372,7 +377,7 @@ def looked_together(
             looked[names].append(one)
     for names, one in _shared(scored, windows):
         looked[names].append(one)
-    count = sum(looks(scores, lengths) for scores in scored) + sum(_instants(pair[0]) for pair in pairs)
+    count = sum(looks(scores, lengths, back) for scores in scored) + sum(_instants(pair[0], back) for pair in pairs)
     return looked, count + (len(SHARED) * len(lengths) if len(scored) > 1 else 0)
 
 
@@ -381,7 +386,9 @@ def pushes(names: Sequence[str], one: Contrast) -> bool:
     return any(shift != 0.0 for name, shift in zip(names, one.shift, strict=True) if name.endswith(".trim"))
 
 
-def in_any_air(names: tuple[str, ...], under: Sequence[Sequence[Scores]], lengths: Sequence[float]) -> float:
+def in_any_air(
+    names: tuple[str, ...], under: Sequence[Sequence[Scores]], lengths: Sequence[float], back: float = NEW
+) -> float:
     """Smallest p-value of the pushes of z or yaw, averaged over the strengths that the gusts may have now.
 
     A few seconds hardly tell twice the power from that of the regime, and under twice the power the same push is a
@@ -392,12 +399,13 @@ def in_any_air(names: tuple[str, ...], under: Sequence[Sequence[Scores]], length
     Args:
         names: Names of the scores of the axis.
         under: The scores of all likelihoods under each strength.
-        lengths: Lengths of the windows that are tested [s].
+        lengths: As for `looked_together`, like `back`.
+        back: Likewise.
     """
     air = next(scores.air for scores in under[0] if scores.names == names)
     weight, least = np.exp(CORRELATED * (air - air.max())), []
     for scored in under:
-        found = [one.p_value for one in looked_together(scored, lengths)[0][names] if pushes(names, one)]
+        found = [one.p_value for one in looked_together(scored, lengths, back)[0][names] if pushes(names, one)]
         least.append(min(found, default=1.0))
     return float(weight @ least / weight.sum())
 
@@ -459,9 +467,9 @@ def _squared(one: _Compared, along: Array) -> float:
     return float((one.u @ along)[0]) ** 2 / value / one.noise if value > VISIBLE else 0.0
 
 
-def _instants(scores: Scores) -> int:
+def _instants(scores: Scores, back: float) -> int:
     """Number of jolts that a look at these scores tests."""
-    return round(NEW / APART) if scores.jolts.size else 0
+    return round(back / APART) if scores.jolts.size else 0
 
 
 @dataclass(frozen=True)
@@ -484,14 +492,14 @@ class _Jolts:
     freedom: float
 
 
-def _jolts_of(scores: Scores) -> _Jolts | None:
+def _jolts_of(scores: Scores, back: float) -> _Jolts | None:
     """A matched filter at every new instant; its variance comes from its output before."""
     begin, now = float(scores.time[0]), float(scores.time[-1])
-    chunks = int((now - NEW - LASTS - begin) / CHUNK)
+    chunks = int((now - back - LASTS - begin) / CHUNK)
     if not scores.jolts.size or chunks < LEAST_CHUNKS:
         return None
     first, end = (int(np.searchsorted(scores.time, now - back)) for back in (LASTS, LASTS / 2))
-    new = np.unique(np.searchsorted(scores.time, np.arange(now - EARLIEST, now - EARLIEST - NEW, -APART)))
+    new = np.unique(np.searchsorted(scores.time, np.arange(now - EARLIEST, now - EARLIEST - back, -APART)))
     if not scores.jolts[first:end].any(axis=0).all():  # a gap in the poses
         return None
     under = (scores, *scores.under_gusts)[scores.gusts]

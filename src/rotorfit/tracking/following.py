@@ -40,6 +40,7 @@ from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
     NEW,
     Contrast,
+    begun_within,
     calm,
     compares,
     earliest,
@@ -122,6 +123,20 @@ class _Before:
 
 
 @dataclass(frozen=True)
+class _Aloft:
+    """What was known before the vehicle may have touched down: a payload under which it sinks is learnt meanwhile.
+
+    Attributes:
+        since, until: When it first and last may have touched down [s].
+        groups: Groups of axes, as estimated before.
+    """
+
+    since: float
+    until: float
+    groups: Mapping[tuple[str, ...], Group]
+
+
+@dataclass(frozen=True)
 class _Raised:
     """An alarm that will be, or was, revised.
 
@@ -171,6 +186,7 @@ class Following:
         self._false_alarms = false_alarms_per_hour * (1.0 - SHARE if earlier else 1.0)
         self._false_comparisons = false_alarms_per_hour * SHARE
         self._compared, self._unlike = 0.0, set[str]()
+        self._told_itself: set[str] = set()  # axes of which this flight has told as much as the earlier model
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
@@ -179,6 +195,7 @@ class Following:
         self._raised: _Raised | None = None
         self._told: _Raised | None = None  # the alarm that was revised last
         self._suspected: float | None = None
+        self._aloft: _Aloft | None = None
         self._watched: dict[str, float] = {}
         self._untested: dict[str, float] = {}
         self._tallied: dict[str, tuple[float, int, int]] = {}
@@ -233,6 +250,7 @@ class Following:
         """Regimes and the time of the next look, as plain types; `recall` leaves the estimates to new fits."""
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
         told = {"compared": self._compared, "unlike": sorted(self._unlike), "watched": dict(self._watched)}
+        told |= {"told_itself": sorted(self._told_itself)}
         since = {"since": dict(self._since), "changed": dict(self._changed), "laws": dict(self._laws)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), "begins": self._begins, **told}
 
@@ -243,6 +261,7 @@ class Following:
         self.next_look = memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
         self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
+        self._told_itself = set(memory.get("told_itself", ()))
         self._watched, self._begins = dict(memory.get("watched", {})), memory.get("begins", np.inf)
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
@@ -301,20 +320,27 @@ class Following:
         suspected, self._suspected = self._suspected, None
         if standing:  # a vehicle that sags under a payload is flown on, one that lands may be another one afterwards
             self._raised = raised if raised and now < raised.found + SAGS else None
+            since, groups = (self._aloft.since, self._aloft.groups) if self._aloft else (now, self._groups)
+            self._aloft = _Aloft(since, now, groups)
             return None
+        if self._aloft and now > self._aloft.until + NEW:
+            self._aloft = None
+        groups, back = self._groups, NEW
+        if self._aloft:
+            groups, back = self._aloft.groups, min(now - self._aloft.since, SAGS) + NEW
         if raised and now < raised.found + REVISED - 1e-6:
             self._raised = raised
             return None
         if raised:
             return self._revision(flight, now, raised)
-        if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in self._groups.values()):
+        if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in groups.values()):
             return None  # no window has a rest that is long enough
-        known = recent_groups(self._groups, flight, now)
+        known = recent_groups(groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
-        looked, count = looked_together(list(scored.values()), lengths)
+        looked, count = looked_together(list(scored.values()), lengths, back)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
         self._watch(scored, lengths, now)
-        found = rarest(known, flight, looked, lengths, threshold)
+        found = rarest(known, flight, looked, lengths, back, threshold)
         if not found:
             self._raised = self._joined(flight, now) if lengths == WINDOWS else None
             return None
@@ -332,9 +358,9 @@ class Following:
             self._raised = replace(self._told, found=now, names=names, contrast=first, p_value=p_value, looked=looked)
             return None  # nothing new, but more of it
         odds = odds_of_pushes(scored, since) if best.jolt else np.inf
-        named = diagnosed(scored, names, best, looked, {}, odds)
+        named = diagnosed(scored, names, [best], looked, {}, odds)
         alarm = alarm_of(flight, now, named, since, p_value)
-        before = _Before(self._since, self._changed, self._bounds, self._groups)
+        before = _Before(self._since, self._changed, self._bounds, groups)
         self._raised = _Raised(alarm, now, names, first, p_value, looked, before)
         self._begin(alarm, when, before)
         return alarm
@@ -346,7 +372,7 @@ class Following:
             return None
         groups = {axes: one for axes, one in told.before.groups.items() if not set(axes) & set(told.alarm.axes)}
         for scores in scores_of_groups(recent_groups(groups, flight, now), flight):
-            one = likeliest_begun(scores, told.alarm.since)
+            one = likeliest_begun(begun_within(scores, told.alarm.since))
             if one and one.p_value < JOINS and calm(scores, told.alarm.since[0], one.since, one.p_value):
                 return replace(told, found=now, names=scores.names, contrast=one, p_value=one.p_value, looked={})
         return None
@@ -366,9 +392,9 @@ class Following:
         best = likeliest(here, first, looked[raised.names])
         when, since = changed_when(here, earliest(here, first))
         odds = odds_of_pushes(scored, since) if best.jolt else np.inf
-        if not best.jolt or odds < -STRONG:
-            best = likeliest_begun(here, since) or best
-        named = diagnosed(scored, raised.names, best, looked, raised.looked, odds)
+        begun = begun_within(here, since) if not best.jolt or odds < -STRONG else []
+        named = diagnosed(scored, raised.names, begun or [best], looked, raised.looked, odds)
+        best = likeliest_begun(begun) or best
         change = sizes(named, scored, since, best.since)
         alarm = replace(alarm_of(flight, now, named, since, raised.p_value), change=change, revises=raised.alarm.raised)
         if self._told and self._told.alarm.raised == alarm.raised:
@@ -492,10 +518,13 @@ class Following:
         }
         axes |= {axis: replace(one, state=f"{one.state} (so far {HELD})") for axis, one in axes.items() if axis in held}
         if self._earlier:
+            alone = AXES if self._unlike else (*self._changed, *self._told_itself)
+            self._told_itself |= {axis for axis, one in axes.items() if tells_as_much(one, self._earlier, axis)}
             axes = {
-                axis: one if axis in self._changed else told_after(one, self._earlier, axis, bool(self._unlike))
+                axis: one if axis in self._changed else told_after(one, self._earlier, axis, axis in alone)
                 for axis, one in axes.items()
             }
+            self._told_itself |= {axis for axis, one in axes.items() if one.contradicts}
         return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, self._as_refitted())
 
     def _as_refitted(self) -> Model | None:

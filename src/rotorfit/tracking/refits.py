@@ -221,9 +221,13 @@ def together(parts: Sequence[GroupEstimate]) -> Model | None:
 
 
 def doubt_of(axis: Axis) -> dict[str, float]:
-    """Coefficient to the standard deviation by which tests of the law found it to vary; the variances of tests add."""
-    names = {name for test in axis.evidence for name in test.sd}
-    return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in axis.evidence))) for name in names}
+    """Coefficient to the standard deviation by which it varies without a change; the variances of tests add.
+
+    What tests found to vary with time is no such variation: it may be the change.
+    """
+    tests = [test for test in axis.evidence if test.test not in ("time", "quarter")]
+    names = {name for test in tests for name in test.sd}
+    return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in tests))) for name in names}
 
 
 def growth(fitted: GroupEstimate) -> float:
