@@ -80,10 +80,10 @@ def test_after_a_change_all_that_the_settled_fit_told_may_be_carried_over() -> N
     assert bandwidth("other", "limits") == bandwidth("limits") > bandwidth("other")
 
 
-def lagged(lag: float = 0.1) -> Model:
+def lagged(lag: float = 0.1, point: Point = VEHICLE["x"], error: float = 0.05) -> Model:
     """The same with a lag, and the first-order law beside it, which has the lag in its delay."""
-    model = of_x()
-    x, (g, b, tau) = model.axes["x"], VEHICLE["x"]
+    model = of_x(point, error)
+    x, (g, b, tau) = model.axes["x"], point
     plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
     own = replace(
         x,
@@ -270,3 +270,61 @@ def test_the_last_revision_counts_alone() -> None:
 
     assert [new.why for new in looks(twice, *models)] == [new.why for new in looks(once, *models)]
     assert twice.kept == once.kept
+
+
+def test_a_vehicle_that_is_believed_to_be_as_before_has_the_gains_and_margins_of_the_earlier_model() -> None:
+    """Its lag, which this flight does not tell yet, is not lost."""
+    (found,) = looks(Retuning(before=lagged(error=0.02), name="m.json"), *(of_x(error=0.2) for _ in range(3)))
+    x, as_tuned = found.tuning.axes["x"], tune(lagged(error=0.02), axes=("x",)).axes["x"]
+
+    assert x.law == as_tuned.law
+    assert x.robustness.peak == pytest.approx(as_tuned.robustness.peak)
+    assert found.why["x"].endswith("input, damping and delay are from m.json, which this flight does not contradict")
+
+
+def test_what_a_change_leaves_is_carried_over_under_the_law_with_a_lag_too() -> None:
+    g, b, tau = VEHICLE["x"]
+    retuning = Retuning(flown=flown(0.02))
+    looks(retuning, *(lagged(0.15, error=0.02) for _ in range(3)))
+    retuning.changed(["x"], "delay")
+    found = looks(retuning, *(lagged(0.15, (1.05 * g, b, tau + 0.06), 0.1) for _ in range(3)))[-1]
+    x = found.tuning.axes["x"]
+    true = margins(x.law, LaggedAxis(g, b, tau + 0.06 - 0.12, 0.15, 0.0, 1))
+
+    assert x.law.input == pytest.approx(g)
+    assert "margins its own of first_order_delay_lag" in x.note
+    assert (true.peak < x.robustness.peak, true.delay > x.robustness.delay) == (True, True)
+    assert "; input and damping are from before the change" in found.why["x"]
+
+
+def test_nothing_is_combined_across_two_laws() -> None:
+    g, b, tau = VEHICLE["x"]
+    retuning = Retuning(flown=flown(0.02), before=lagged(error=0.02))
+    retuning.changed(["x"], "limits")
+    (found,) = looks(retuning, *(of_x((1.5 * g, 1.1 * b, tau + 0.004), error=0.1) for _ in range(3)))
+
+    assert found.tuning.axes["x"].law.damping == pytest.approx(1.1 * b)
+    assert "from" not in found.why["x"]
+
+
+@pytest.mark.parametrize("doubted", [False, True])
+def test_nothing_is_carried_over_to_another_vehicle_or_while_an_axis_contradicts_it(doubted: bool) -> None:
+    g, b, tau = VEHICLE["x"]
+    vague, retuning = [of_x((1.1 * g, b, tau), error=0.2) for _ in range(5)], Retuning(before=of_x(error=0.02))
+    if not doubted:
+        retuning.another()
+    found = [retuning.look(model, ("x",), doubted=doubted) for model in vague[:3]]
+
+    assert [new.tuning.axes["x"].law.input for new in found if new] == pytest.approx([1.1 * g])
+    assert [retuning.look(model, (), ("x",), doubted=doubted) for model in vague[3:]] == [None, None]
+
+
+def test_after_another_vehicle_only_what_this_flight_told_is_carried_past_a_change() -> None:
+    g, b, tau = VEHICLE["x"]
+    retuning = Retuning(before=of_x(error=0.02))
+    looks(retuning, *(of_x((1.1 * g, 1.1 * b, tau), error=0.1) for _ in range(3)))
+    retuning.another()
+    retuning.changed(["x"], "limits")
+    (found,) = looks(retuning, *(of_x((2.0 * g, 1.2 * b, tau), error=0.2) for _ in range(3)))
+
+    assert found.tuning.axes["x"].law.damping == pytest.approx(1.1 * b)

@@ -15,17 +15,19 @@ New gains are published
 Otherwise they stay. The ranges from `PEAK` to `LOST` and from 1 to `FASTER` are the hysteresis. Without excitation
 there is no new fit, and nothing is published.
 
-Earlier knowledge is carried over: all of an earlier model, as long as this flight tells less and does not contradict
-it, and after an alarm those coefficients k that its cause leaves unchanged. Given the earlier N(m, C)_k and the new fit
-N(m', C'), the other coefficients f follow the new fit, conditioned on the carried ones:
+Earlier knowledge is carried over: all of an earlier model, as long as this flight tells less and contradicts it on no
+axis, and after an alarm those coefficients k that its cause leaves unchanged. Where that is all of them, the vehicle is
+believed to be that of the earlier model, under its own law. Else, given the earlier N(m, C)_k and the new fit N(m', C')
+under the same law, the other parameters f follow the new fit, conditioned on the carried ones:
 
     m_f = m'_f + K (m_k - m'_k),    C_ff = C'_ff - K C'_kf + K C_kk K',    C_fk = K C_kk,    K = C'_fk (C'_kk)^-1
 
-What the new fit says of k is not used, because both include the same flight-to-flight spread. If the new fit tells more
-of k, or lies outside 99 % of what both allow, it is used alone.
+What the new fit says of k is not used, because both include the same flight-to-flight spread. A lag goes with the
+delay. Each law that both allow is combined, with the product of its weights. If the new fit tells more of k, lies
+outside 99 % of what both allow, or has another law than the earlier one, it is used alone.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -42,13 +44,13 @@ from rotorfit.core.laws import structure_named
 from rotorfit.core.model import (
     COEFFICIENTS,
     NORMAL,
-    STRUCTURE,
     Axis,
     Model,
     Plain,
     Predictor,
     Weighed,
     first_order,
+    laws_of_vehicle,
     weighed,
 )
 
@@ -107,6 +109,28 @@ class Retuned:
     why: Mapping[str, str]
 
 
+@dataclass(frozen=True)
+class _Belief:
+    """What an axis is believed to be.
+
+    Attributes:
+        axis: Its name.
+        model: A model in which it is that, under each law that it may have.
+        carried: The coefficients that are carried over; empty for a fit alone.
+        earlier: Whether they are from the model of an earlier flight.
+    """
+
+    axis: str
+    model: Model
+    carried: tuple[str, ...] = ()
+    earlier: bool = False
+
+    @property
+    def plain(self) -> Weighed:
+        """The axis as a first-order law with a delay."""
+        return first_order(self.model, self.axis)
+
+
 class Retuning:
     """Follows the models of one vehicle.
 
@@ -116,6 +140,7 @@ class Retuning:
         latency: Time from the exposure of a pose to the command that uses it [s].
         flown: Axis name to the gains in use; empty if they are unknown.
         before: The model of an earlier flight; None if there is none.
+        name: What that is called.
 
     Attributes:
         kept: Axis whose estimate has settled to the reason why it got no new gains at its last look.
@@ -128,12 +153,16 @@ class Retuning:
         latency: float = LATENCY,
         flown: Mapping[str, Flown] | None = None,
         before: Model | None = None,
+        name: str = "the earlier model",
     ) -> None:
+        self._name, self._another = name, False
         self._kind, self._rate, self._latency, self._asked = kind, rate, latency, rate is not None
         self._flown = dict(flown or {})
-        self._fits: dict[str, tuple[Axis, Weighed, Weighed]] = {}
+        self._fits: dict[str, tuple[Axis, _Belief, _Belief]] = {}
         known = before.axes if before else {}
-        self._before = {axis: first_order(before, axis) for axis, one in known.items() if before and one.predictor}
+        self._before = {
+            axis: _Belief(axis, before, earlier=True) for axis, one in known.items() if before and one.predictor
+        }
         self._carried: dict[str, tuple[str, ...]] = dict.fromkeys(AXES, COEFFICIENTS)
         self._anew: set[str] = set()
         self.kept: dict[str, str] = {}
@@ -158,32 +187,41 @@ class Retuning:
             self.kept.pop(axis, None)
             last, known = self._fits.pop(axis, None), self._carried[axis]
             if last:
-                self._before[axis], known = last[2], COEFFICIENTS
+                _, fit, belief = last
+                self._before[axis], known = fit if belief.earlier and self._another else belief, COEFFICIENTS
             kept = HEAVIER if cause == "payload" and axis in ("x", "y") else CARRIED.get(cause, ())
             self._carried[axis] = tuple(name for name in known if name in kept)
             if self._carried[axis] != COEFFICIENTS:
                 self._anew.add(axis)
 
-    def look(self, model: Model, known: Collection[str], excited: Collection[str] = ()) -> Retuned | None:
+    def another(self) -> None:
+        """Notes that the vehicle is not that of the earlier flight, of which nothing is carried over any more."""
+        self._another = True
+        self._anew |= self._flown.keys()
+        self.kept.clear()
+
+    def look(
+        self, model: Model, known: Collection[str], excited: Collection[str] = (), doubted: bool = False
+    ) -> Retuned | None:
         """New gains, if the model calls for them; else None.
 
         Args:
             model: The last fit of each axis.
             known: Axes whose coefficients it tells.
             excited: Axes of which it tells only some: enough if the others are carried over.
+            doubted: Whether this flight contradicts the earlier one on any axis: then nothing of that is carried over.
         """
         new: dict[str, AxisTuning] = {}
         why: dict[str, str] = {}
         rate = self._rate or rate_of(model)
         for axis in (axis for axis in AXES if axis in known or axis in excited):
-            belief = self._settled(model, axis, axis in known)
+            belief = self._settled(model, axis, axis in known, doubted)
             if belief is None:
                 continue
-            believed = _with_law(model, axis, belief)
             self.kept[axis] = NO_GAINS
-            if fresh := self._tuned(believed, axis, rate):
+            if fresh := self._tuned(belief.model, axis, rate):
                 self.kept[axis] = MAY_STAY
-                reason = self._reason(believed, axis, fresh)
+                reason = self._reason(belief, fresh)
                 if reason:
                     new[axis], why[axis] = fresh, reason
                     self._flown[axis] = Flown(fresh.law, fresh.bandwidth)
@@ -193,24 +231,29 @@ class Retuning:
         note = rate_note(model, rate, self._asked)
         return Retuned(Tuning(self._kind, rate, self._latency, new, {}, note), why)
 
-    def _settled(self, model: Model, axis: str, known: bool) -> Weighed | None:
+    def _settled(self, model: Model, axis: str, known: bool, doubted: bool) -> _Belief | None:
         """The belief about an axis, if there is a new fit and it has settled; else None."""
         before = self._fits.get(axis)
         if model.axes[axis].predictor is None or (before and _is_same_fit(before[0], model.axes[axis])):
             return None
-        fit = first_order(model, axis)
-        now = fit if _is_dragged(model, axis) else self._belief(axis, fit)  # what is carried over knows no hover
+        fit = _Belief(axis, _as_settled(model, axis))
+        now = self._belief(fit, doubted)
         if not known and now is fit:
             return None
         self._fits[axis] = model.axes[axis], fit, now
         if before is None:
             return None
-        return now if (known and _same(before[1], fit)) or _same(before[2], now) else None
+        return now if (known and _same(before[1].plain, fit.plain)) or _same(before[2].plain, now.plain) else None
 
-    def _belief(self, axis: str, now: Weighed) -> Weighed:
-        """The belief about an axis: the last fit, combined with what is carried over."""
-        before = self._before.get(axis)
-        return now if before is None else _carried_over(before, now, self._carried[axis])
+    def _belief(self, fit: _Belief, doubted: bool) -> _Belief:
+        """The belief about an axis: its last fit, with what is carried over."""
+        before, names = self._before.get(fit.axis), self._carried[fit.axis]
+        if before is None or (before.earlier and (doubted or self._another)):
+            return fit
+        if _is_dragged(fit.model, fit.axis):
+            return fit  # what is carried over knows no hover
+        believed = _carried_over(before.model, fit.model, fit.axis, names)
+        return _Belief(fit.axis, believed, names, before.earlier) if believed else fit
 
     def _tuned(self, model: Model, axis: str, rate: float) -> AxisTuning | None:
         """Gains for an axis; None if none keep the margins."""
@@ -219,8 +262,16 @@ class Retuning:
         except ModelError:
             return None
 
-    def _reason(self, model: Model, axis: str, fresh: AxisTuning) -> str:
-        """The reason for new gains; empty if those in use may stay."""
+    def _reason(self, belief: _Belief, fresh: AxisTuning) -> str:
+        """The reason for new gains, and what is carried over in them; empty if those in use may stay."""
+        reason = self._why(belief.model, belief.axis, fresh)
+        if not reason or not belief.carried:
+            return reason
+        names = " and ".join(belief.carried) if len(belief.carried) < 3 else "input, damping and delay"
+        whose = f"{self._name}, which this flight does not contradict" if belief.earlier else "before the change"
+        return f"{reason}; {names} {'is' if len(belief.carried) == 1 else 'are'} from {whose}"
+
+    def _why(self, model: Model, axis: str, fresh: AxisTuning) -> str:
         anew, flown = axis in self._anew, self._flown.get(axis)
         self._anew.discard(axis)
         if flown is None:
@@ -253,46 +304,84 @@ def _same(old: Weighed, now: Weighed) -> bool:
     )
 
 
-def _carried_over(before: Weighed, now: Weighed, names: Collection[str]) -> Weighed:
-    """A fit, with some coefficients as they were known before; the fit alone if it tells more or contradicts them."""
-    if not names or any(name not in law.stderr for law in (before, now) for name in COEFFICIENTS):
-        return now
-    (old, old_covariance), (new, new_covariance) = _normal(before), _normal(now)
+def _carried_over(before: Model, now: Model, axis: str, names: Collection[str]) -> Model | None:
+    """The last fit of an axis, with some coefficients as they were known before.
+
+    None if the fit tells more of them, contradicts them, or has another law: a lag that one of both knows must not be
+    lost, as the margins depend on it.
+    """
+    was, fit = first_order(before, axis), first_order(now, axis)
+    if not names or any(name not in law.stderr for law in (was, fit) for name in COEFFICIENTS):
+        return None
     kept = np.array([name in names for name in COEFFICIENTS])
-    was, known = old_covariance[np.ix_(kept, kept)], new_covariance[np.ix_(kept, kept)]
+    (old, old_covariance), (new, new_covariance) = _normal(was), _normal(fit)
+    known, own = (each[np.ix_(kept, kept)] for each in (old_covariance, new_covariance))
     off = old[kept] - new[kept]
-    apart = float(off @ np.linalg.solve(was + known, off))
-    if np.linalg.det(known) <= np.linalg.det(was) or chdtr(kept.sum(), apart) > CONTRADICTED:
-        return now
+    apart = float(off @ np.linalg.solve(known + own, off))
+    if np.linalg.det(own) <= np.linalg.det(known) or chdtr(kept.sum(), apart) > CONTRADICTED:
+        return None
+    if kept.all():
+        return replace(before, findings=(*before.findings, *now.findings))
+    both = [{law.structure: law for law in laws_of_vehicle(model, axis)} for model in (before, now)]
+    if any(next(iter(laws)) not in both[0].keys() & both[1].keys() for laws in both):
+        return None
+    pairs = [(both[0][name], law) for name, law in both[1].items() if name in both[0]]
+    if any(one.stderr.keys() != {*COEFFICIENTS, *one.predictor.extra} for pair in pairs for one in pair):
+        return None
+    return _with_laws(now, axis, [_combined(*pair, names) for pair in pairs], _combined(was, fit, names))
+
+
+def _combined(before: Weighed, now: Weighed, names: Collection[str]) -> Weighed:
+    """A law of a fit, with some coefficients as they were known before; what else makes it late is as its delay."""
+    every = (*COEFFICIENTS, *now.predictor.extra)
+    (old, old_covariance), (new, new_covariance) = _normal(before, every), _normal(now, every)
+    kept = np.array([(name if name in COEFFICIENTS else "delay") in names for name in every])
+    was, known = old_covariance[np.ix_(kept, kept)], new_covariance[np.ix_(kept, kept)]
     follow = new_covariance[np.ix_(~kept, kept)] @ np.linalg.inv(known)
-    mean, covariance = old.copy(), np.zeros((3, 3))
-    mean[~kept] = new[~kept] + follow @ off
+    mean, covariance = old.copy(), np.zeros_like(old_covariance)
+    mean[~kept] = new[~kept] + follow @ (old[kept] - new[kept])
     covariance[np.ix_(kept, kept)] = was
     covariance[np.ix_(~kept, kept)] = follow @ was
     covariance[np.ix_(kept, ~kept)] = (follow @ was).T
     alone = new_covariance[np.ix_(~kept, ~kept)] - follow @ new_covariance[np.ix_(kept, ~kept)]
     covariance[np.ix_(~kept, ~kept)] = alone + follow @ was @ follow.T
-    return weighed(now.structure, Predictor(*mean.tolist()), COEFFICIENTS, covariance)
+    g, b, tau, *others = mean.tolist()
+    ends = {one.name: (one.low, one.high) for one in structure_named(now.structure).extras}
+    extra = {name: float(np.clip(value, *ends[name])) for name, value in zip(every[3:], others, strict=True)}
+    point = Predictor(g, b, tau, extra)
+    return weighed(now.structure, point, every, covariance, before.weight * now.weight)
 
 
-def _normal(law: Weighed) -> tuple[Array, Array]:
-    """Mean and covariance of input, damping and delay, shape (3,) and (3, 3)."""
-    at = [list(law.stderr).index(name) for name in COEFFICIENTS]
+def _normal(law: Weighed, names: Sequence[str] = COEFFICIENTS) -> tuple[Array, Array]:
+    """Mean and covariance of the named parameters, by default input, damping and delay, shape (n,) and (n, n)."""
+    at = [list(law.stderr).index(name) for name in names]
     point = law.predictor
-    return np.array([point.input, point.damping, point.delay]), law.covariance[np.ix_(at, at)]
+    known = {"input": point.input, "damping": point.damping, "delay": point.delay, **point.extra}
+    return np.array([known[name] for name in names]), law.covariance[np.ix_(at, at)]
 
 
-def _with_law(model: Model, axis: str, law: Weighed) -> Model:
-    """The model with a first-order law beside an axis, from which its gains are made.
+def _with_laws(model: Model, axis: str, laws: Sequence[Weighed], plain: Weighed) -> Model:
+    """The model, with an axis that is known by these laws alone, and as a first-order one by `plain`."""
+    own, *others = sorted(laws, key=lambda law: -law.weight)
+    known = replace(
+        _as_settled(model, axis, plain).axes[axis],
+        structure=own.structure,
+        predictor=own.predictor,
+        laws=(own, *others),
+        status=dict.fromkeys(own.stderr, "ok"),
+        ci95={},
+        combinations={},
+    )
+    names = tuple(f"{axis}.{name}" for name in own.stderr)
+    return replace(model, axes={**model.axes, axis: known}, covariance_names=names, covariance=own.covariance)
 
-    Where that is not the law of the fit, it is all that is known of the vehicle, and the margins are its own, too.
-    """
+
+def _as_settled(model: Model, axis: str, law: Weighed | None = None) -> Model:
+    """The model with a first-order law beside an axis, from which its gains are made; by default its own."""
     nothing = dict.fromkeys(COEFFICIENTS)
+    law = law or first_order(model, axis)
     plain = Plain(None, None, None, nothing, {}, dict.fromkeys(COEFFICIENTS, "ok"), law)  # what has settled is known
-    known = replace(model.axes[axis], plain=plain)
-    if law != first_order(model, axis):
-        known = replace(known, structure=STRUCTURE, laws=(), predictor=law.predictor, ci95={})
-    return replace(model, axes={**model.axes, axis: known})
+    return replace(model, axes={**model.axes, axis: replace(model.axes[axis], plain=plain)})
 
 
 def _apart(law: AxisLaw, model: Model, axis: str) -> float:
