@@ -1,20 +1,23 @@
 """New gains are published as a message and as a file, whole; what is in the file at the start is what is flown."""
 
+import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from models import VEHICLE, next_fit
+from rotorfit.app.live.outlets import Remembering
 from rotorfit.app.live.regained import Regaining
 from rotorfit.control.tuning import tune
 from rotorfit.core.errors import LogError, ModelError
 from rotorfit.core.model import Model
 from rotorfit.core.tracked import UNMOVED, Alarm, Tracked, TrackedAxis
 from rotorfit.exports.gains import law_of, read_gains, save_gains
+from rotorfit.tracking.earlier import Earlier
 
 pytestmark = pytest.mark.flights
 
@@ -27,9 +30,11 @@ def states(*models: Model, axes: tuple[str, ...] = ("x",), **more: Any) -> list[
     return [Tracked(float(5 + k), known, model=model, **more) for k, model in enumerate(models)]
 
 
-def told(path: Path | None, given: list[Tracked]) -> tuple[list[Mapping[str, Any]], Regaining]:
+def told(
+    path: Path | None, given: list[Tracked], earlier: Earlier | None = None
+) -> tuple[list[Mapping[str, Any]], Regaining]:
     messages: list[Mapping[str, Any]] = []
-    regaining = Regaining(path, lambda message, _now: messages.append(message), lambda _kept: None)
+    regaining = Regaining(path, lambda message, _now: messages.append(message), lambda _kept: None, earlier)
     for state in given:
         regaining.state(state, 0)
     return messages, regaining
@@ -114,6 +119,72 @@ def test_after_an_alarm_the_vehicle_must_settle_anew() -> None:
 
     assert second["why"]["x"].startswith("the vehicle has changed")
     assert first["axes"]["x"]["delay"] + 0.1 == pytest.approx(second["axes"]["x"]["delay"])
+
+
+OTHER = replace(CHANGED, time=6.5, cause="another_vehicle")
+
+
+def test_no_axis_takes_gains_from_an_earlier_model_that_another_axis_contradicts() -> None:
+    g, b, tau = VEHICLE["x"]
+    earlier = Earlier(next_fit({"x": VEHICLE["x"]}, 0.02), "m.json")
+    given = states(*(next_fit({"x": (1.1 * g, b, tau)}, 0.2) for _ in range(3)))
+    doubted = [replace(one, axes={**one.axes, "z": TrackedAxis(contradicts=("delay",))}) for one in given]
+    alarmed = [replace(given[0], alarms=(replace(OTHER, time=4.0, axes=("z",)),)), *given[1:]]
+    inputs = [told(None, each, earlier)[0][0]["axes"]["x"]["input"] for each in (given, doubted, alarmed)]
+
+    assert inputs == pytest.approx([g, 1.1 * g, 1.1 * g])
+    assert "are from m.json" in told(None, given, earlier)[0][0]["why"]["x"]
+
+
+@pytest.mark.parametrize("alarm", [replace(CHANGED, time=6.5), OTHER])
+def test_gains_of_before_an_alarm_are_told_as_such(alarm: Alarm) -> None:
+    flown = states(only(), only())
+    (message,), regaining = told(None, [*flown, replace(flown[-1], time=7.0, alarms=(alarm,), model=None)])
+
+    assert message["axes"]["x"]["regime"] == 0
+    assert regaining.summary == (
+        f"New gains: x at 6 s. Those of x are of before the alarm of 6.5 s ({alarm.named}): its estimate has not "
+        "settled: two fits in a row do not agree yet."
+    )
+
+
+def test_a_resumed_one_knows_the_gains_in_use_and_the_changes() -> None:
+    g, b, tau = VEHICLE["x"]
+    _, before = told(None, states(only(), only()))
+    memory = json.loads(json.dumps(before.memory()))
+    messages: list[Mapping[str, Any]] = []
+    resumed = Regaining(None, lambda message, _now: messages.append(message), lambda _kept: None)
+    resumed.recall([replace(CHANGED, time=6.5)], False, memory)
+    assert "x at 6 s. Those of x are of before" in resumed.summary
+    for state in states(*(next_fit({"x": (g, b, tau + 0.1)}) for _ in range(3))):
+        resumed.state(replace(state, time=state.time + 5), 0)
+
+    assert [one["why"]["x"][:23] for one in messages] == ["the vehicle has changed"]
+    assert resumed.summary == "New gains: x at 6 s; x at 11 s."
+
+
+class Followed:
+    """A tracker that remembers only that x has changed."""
+
+    changes, another, origin = (replace(CHANGED, time=6.5),), False, 0
+
+    def memory(self) -> dict[str, Any]:
+        return {"origin": 0}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Has nothing to recall."""
+
+
+@pytest.mark.parametrize("published", [False, True])
+def test_what_a_tracker_resumes_from_has_the_gains_and_the_changes(published: bool, tmp_path: Path) -> None:
+    path, tracker = tmp_path / "memory", cast(Any, Followed())
+    Remembering(path, tracker, told(None, states(only(), only()))[1] if published else None).close()
+    resumed = told(None, [])[1]
+    again = Remembering(path, tracker, resumed)
+    again.close()
+
+    assert again.recalled
+    assert resumed.summary.startswith("New gains: x at 6 s. Those of x are of" if published else "No new gains.")
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,11 @@
 """Samples in, states out: the same as from the recorded flight, whatever the order they come in."""
 
+import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
+import numpy as np
 import pytest
 from tracking_samples import samples_of
 
@@ -95,6 +97,29 @@ def test_a_tracker_that_has_taken_samples_recalls_nothing() -> None:
 
     with pytest.raises(ValueError, match="recall into a new one"):
         tracker.recall(memory)
+
+
+def test_a_memory_that_lacks_something_is_refused_before_the_process_beside_gets_it() -> None:
+    memory = Tracker(CARD).memory()
+    told = json.loads(str(memory["following"]))
+    del told["since"]
+
+    with Tracker(CARD, live=True) as tracker, pytest.raises(KeyError, match="since"):
+        tracker.recall({**memory, "following": np.array(json.dumps(told))})
+
+
+def test_a_recalled_tracker_tells_the_changes_of_the_flight() -> None:
+    alarm, before = Alarm(3.0, ("x",), "limits", (2.0, 2.5), {}, 0.9, 1e-9, "because"), Tracker(CARD)
+    for one in samples_of(known_flight())[:30]:
+        before.update(one)
+    memory = before.memory()
+    told = json.loads(str(memory["following"]))
+    told |= {"bounds": [[0.0, None], [2.0, asdict(alarm)]], "unlike": ["z"]}
+    tracker = Tracker(CARD)
+    tracker.recall({**memory, "following": np.array(json.dumps(told))})
+
+    assert (tracker.changes, tracker.another) == ([alarm], True)
+    assert (Tracker(CARD).changes, Tracker(CARD).another) == ([], False)
 
 
 @pytest.mark.parametrize("live", [False, True])

@@ -68,6 +68,7 @@ UNITS: Mapping[str, str] = {
     "phase_margin": "deg",
     "delay_margin": "s",
     "retuned_at": "s of the flight that `rotorfit track --tune` followed",
+    "regime": "how often the vehicle had changed by then in that flight",
 }
 
 
@@ -249,8 +250,8 @@ def law_of(mapping: Mapping[str, Any], axis: str) -> AxisLaw:
         latency=float(mapping["latency"]),
         stiffness=float(one["stiffness"]),
         rate=float(one["rate_gain"]),
-        integral=float(one.get("integral", 0.0)),
-        filter_time=float(one.get("filter_time", 0.0)),
+        integral=float(one.get("integral") or 0.0),
+        filter_time=float(one.get("filter_time") or 0.0),
         observer=corrections,
     )
 

@@ -25,7 +25,7 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import NUMBERS, Sample
 from rotorfit.core.model import Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import Motion, Tracked, TrackedAxis
+from rotorfit.core.tracked import Alarm, Motion, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.files.cards import load_card
 from rotorfit.tracking.earlier import Earlier, check_earlier, earlier_of, until_known
 from rotorfit.tracking.flight_so_far import UNRECORDED
@@ -204,6 +204,16 @@ class Tracker:
         """The flight so far, as far as it is remembered; None before it has a segment with commands and poses."""
         return self._growing.flight()
 
+    @property
+    def changes(self) -> list[Alarm]:
+        """The alarms that began a regime by the last completed look, each as last revised."""
+        return [alarm_from_mapping(alarm) for _, alarm in self._memory["bounds"] if alarm]
+
+    @property
+    def another(self) -> bool:
+        """Whether the vehicle was found not to be that of the earlier model."""
+        return bool(self._memory["unlike"])
+
     def memory(self) -> dict[str, Any]:
         """What `recall` of another tracker continues from, as arrays: the flight so far, its regimes, and the card."""
         following = {**self._memory, "next_look": float(self._due), "card": [self._card.name, self._card.raw]}
@@ -214,6 +224,7 @@ class Tracker:
 
         Raises:
             CardError: The memory was made with another card.
+            KeyError: The memory is of another version: it lacks something.
             ValueError: The tracker has taken samples.
         """
         if self._begun:
@@ -223,8 +234,9 @@ class Tracker:
         if raw != json.loads(json.dumps(self._card.raw)):
             mine = "another one of that name" if name == self._card.name else self._card.name
             raise CardError(f"was learnt with the card {name}, not with {mine}; name another file")
+        Following().recall(told)  # the looks may be in another process, where nobody could say what is wrong with it
         self._growing.recall(memory)
-        self._memory = told
+        self._memory = {"unlike": (), **told}
         self._due = float(self._memory["next_look"])
         self._looks.recall(self._memory)
 

@@ -405,7 +405,7 @@ def _listened(
             tuned=asked.regaining is not None,
         ) as tracker:
             recording = Recording(record, chosen, link) if record else None
-            remembering = Remembering(memory, tracker) if memory else None
+            remembering = Remembering(memory, tracker, asked.regaining) if memory else None
             if remembering and remembering.recalled:
                 say(f"goes on from {memory}, as the same vehicle; another one, or another payload, needs a new file")
             if link.startswith("sim"):

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from rotorfit.app.live.regained import Regaining
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, LogError
 from rotorfit.core.log import Sample
@@ -196,6 +197,7 @@ class Remembering:
     Args:
         path: Path of the file; if it exists, the tracker resumes from it.
         tracker: The tracker whose memory is stored.
+        regaining: What publishes new gains beside it, if anything; it resumes with it.
 
     Attributes:
         recalled: Whether the tracker has resumed from the file.
@@ -205,12 +207,12 @@ class Remembering:
         LogError: The file is of another kind, of another vehicle, or in use by a running tracker.
     """
 
-    def __init__(self, path: Path, tracker: Tracker) -> None:
+    def __init__(self, path: Path, tracker: Tracker, regaining: Regaining | None = None) -> None:
         with ExitStack() as stack:
             self._held = stack.enter_context(_held(path))
-            self.recalled = _recalled(path, tracker)
+            self.recalled = _recalled(path, tracker, regaining)
             stack.pop_all()
-        self._path, self._tracker, self._next = path, tracker, 0
+        self._path, self._tracker, self._regaining, self._next = path, tracker, regaining, 0
         self._memory: Mapping[str, Any] | None = None
         self._over, self._due = threading.Event(), threading.Event()
         self.fault = ""
@@ -221,18 +223,23 @@ class Remembering:
         """Hands the tracker's memory to the thread, if `REMEMBER_EVERY` has passed."""
         if now >= self._next:
             self._next = now + round(REMEMBER_EVERY * 1e9)
-            self._memory = self._tracker.memory()
+            self._memory = self._all()
             self._due.set()
 
     def state(self, _state: Tracked, _now: int, _held: int) -> None:
         """Does nothing: the memory is taken with the samples."""
 
     def gains(self, _message: Mapping[str, Any], _now: int) -> None:
-        """Does nothing: gains are not part of the memory."""
+        """Does nothing: the memory is taken with the samples."""
+
+    def _all(self) -> Mapping[str, Any]:
+        """The memory of the tracker, and of the gains."""
+        gains = {"gains": np.array(json.dumps(self._regaining.memory()))} if self._regaining else {}
+        return {**self._tracker.memory(), **gains}
 
     def close(self) -> None:
         """Writes the memory a last time; a disk that fails sets `fault`."""
-        self._memory = self._tracker.memory()
+        self._memory = self._all()
         self._over.set()
         self._due.set()
         self._thread.join()
@@ -270,13 +277,16 @@ def _held(path: Path) -> socket.socket:
     return held  # other systems have no abstract names: there is no lock
 
 
-def _recalled(path: Path, tracker: Tracker) -> bool:
-    """Lets a tracker resume from a file of `Remembering`; whether there was one."""
+def _recalled(path: Path, tracker: Tracker, regaining: Regaining | None) -> bool:
+    """Lets a tracker, and the gains beside it, resume from a file of `Remembering`; whether there was one."""
     if not path.exists():
         return False
     try:
         with np.load(path, allow_pickle=False) as memory:
             tracker.recall({name: memory[name] for name in memory.files})
+            if regaining:
+                gains = json.loads(str(memory["gains"])) if "gains" in memory.files else None
+                regaining.recall(tracker.changes, tracker.another, gains)
     except CardError as error:
         raise LogError(f"{path}: {error}") from None
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:

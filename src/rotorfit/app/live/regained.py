@@ -1,6 +1,7 @@
 """New gains while a vehicle flies: published as a message and, if wanted, as a file; nothing is ever commanded."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from rotorfit.control.retuning import Flown, Retuned, Retuning
 from rotorfit.control.tuning import LATENCY
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
-from rotorfit.core.tracked import UNMOVED, Tracked, TrackedAxis
+from rotorfit.core.tracked import UNMOVED, Alarm, Tracked, TrackedAxis
 from rotorfit.exports.gains import GAINS_MARK, check_gains_name, law_of, read_gains, tuning_mapping, write_gains
 from rotorfit.tracking.earlier import Earlier
 
@@ -30,7 +31,7 @@ def regaining_of(
         kept: Called with the path of the backup.
         earlier: The model of an earlier flight; None if there is none.
     """
-    return Regaining(Path(path) if path else None, told, kept, earlier.model if earlier else None)
+    return Regaining(Path(path) if path else None, told, kept, earlier)
 
 
 class Regaining:
@@ -42,7 +43,7 @@ class Regaining:
         path: Path of the gains file, TOML or YAML; None for messages alone.
         listener: The first of the listeners.
         kept: Called with the path of the backup when the original file is first replaced.
-        before: The model of an earlier flight; None if there is none.
+        earlier: The model of an earlier flight; None if there is none.
 
     Attributes:
         listeners: Called with each message and the link's clock [ns].
@@ -58,52 +59,103 @@ class Regaining:
         path: Path | None,
         listener: Callable[[Message, int], None],
         kept: Callable[[Path | None], None],
-        before: Model | None = None,
+        earlier: Earlier | None = None,
     ) -> None:
         self._path, self.listeners, self._kept = path, [listener], kept
+        self._earlier, self._replaced = earlier, False
         self.published: list[tuple[float, Sequence[str]]] = []
-        self._states: Mapping[str, TrackedAxis] = {}
+        self._changed: dict[str, Alarm] = {}  # the last alarm of each axis
+        self._unchanged = self._changed  # as before the last alarm
+        self._state = Tracked(0.0, {})
         self._gains: dict[str, Any] = {"design": "predictor", "rate": None, "latency": LATENCY, "axes": {}}
         if path:
             check_gains_name(path)
             check_destination(path, GAINS_MARK)
             self._gains = read_gains(path) if path.exists() else self._gains
+        self._retuning = self._begun()
+
+    def _begun(self) -> Retuning:
+        """What decides, with the gains that are in use."""
         flown = {axis: Flown(law_of(self._gains, axis), float(one["bandwidth"])) for axis, one in self._axes()}
         loop = self._gains["design"], self._gains["rate"], self._gains["latency"]
-        self._retuning = Retuning(*loop, flown, before)
+        known = (self._earlier.model, self._earlier.name) if self._earlier else ()
+        return Retuning(*loop, flown, *known)
+
+    def memory(self) -> dict[str, Any]:
+        """What `recall` of another one continues from, as plain types of JSON."""
+        return {"gains": self._gains, "published": self.published}
+
+    def recall(self, changes: Collection[Alarm], another: bool, memory: Mapping[str, Any] | None) -> None:
+        """Continues in a flight that another tracker has begun; call it before the first state.
+
+        Args:
+            changes: The alarms of the flight so far.
+            another: Whether the vehicle was found not to be that of the earlier model.
+            memory: What `memory` returned; None if no gains were published. Gains in the file come first.
+        """
+        if memory:
+            self.published = [(time, tuple(axes)) for time, axes in memory["published"]]
+            self._gains = self._gains if self._axes() else dict(memory["gains"])
+            self._retuning = self._begun()
+        for alarm in changes:
+            self._note(replace(alarm, revises=None))
+        if another:
+            self._retuning.another()
+
+    def _note(self, alarm: Alarm) -> None:
+        """Takes an alarm."""
+        if alarm.cause == "another_vehicle":
+            self._retuning.another()
+            self._changed = self._unchanged = {**self._changed, **dict.fromkeys(AXES, alarm)}
+        if alarm.cause in OF_THE_VEHICLE:
+            again = alarm.revises is not None
+            self._retuning.changed(alarm.axes, alarm.cause, again)
+            if not again:
+                self._unchanged = self._changed
+            self._changed = {**self._unchanged, **dict.fromkeys(alarm.axes, alarm)}
 
     def state(self, state: Tracked, now: int) -> None:
         """Publishes new gains if a state calls for them."""
         for alarm in state.alarms:
-            if alarm.cause in OF_THE_VEHICLE:
-                self._retuning.changed(alarm.axes, alarm.cause, alarm.revises is not None)
-        self._states = state.axes
+            self._note(alarm)
+        self._state = state
         if state.model is None or state.landed:
             return
         axes = {
             word: [axis for axis, one in state.axes.items() if one.knowledge == word]
             for word in ("known", "not_identifiable")
         }
-        if found := self._retuning.look(state.model, axes["known"], axes["not_identifiable"]):
+        doubted = any(one.contradicts for one in state.axes.values())
+        if found := self._retuning.look(state.model, axes["known"], axes["not_identifiable"], doubted):
             self._publish(found, state.model, state.time, now)
 
     @property
     def summary(self) -> str:
-        """One line about the gains published so far; without any, why there are none."""
+        """One line about the gains published so far; without any, or where the vehicle then changed, why not others."""
         if self.published:
             each = "; ".join(f"{', '.join(axes)} at {time:.0f} s" for time, axes in self.published)
-            return f"New gains: {each}.{f' They are in {self._path}.' if self._path else ''}"
+            return f"New gains: {each}.{f' They are in {self._path}.' if self._path else ''}{self._outdated}"
         why: dict[str, list[str]] = {}
-        for axis in self._states:
+        for axis in self._state.axes:
             why.setdefault(self._missing(axis), []).append(axis)
         each = "; ".join(f"{', '.join(axes)}: {reason}" for reason, axes in why.items())
         return f"No new gains. {each or 'Nothing was tracked'}."
+
+    @property
+    def _outdated(self) -> str:
+        """For each axis that changed after its last new gains, why they were not replaced."""
+        last = {axis: time for time, axes in self.published for axis in axes}
+        return "".join(
+            f" Those of {axis} are of before the alarm of {alarm.raised:.1f} s ({alarm.named}): {self._missing(axis)}."
+            for axis, alarm in self._changed.items()
+            if axis in last and last[axis] < alarm.raised
+        )
 
     def _missing(self, axis: str) -> str:
         """Why an axis has no new gains."""
         if axis in self._retuning.kept:
             return self._retuning.kept[axis]
-        state = self._states.get(axis, TrackedAxis())
+        state = self._state.axes.get(axis, TrackedAxis())
         if UNMOVED in state.state:
             return "not commanded in this flight"
         if state.knowledge == "not_excited":
@@ -117,13 +169,15 @@ class Regaining:
 
     def _publish(self, found: Retuned, model: Model, time: float, now: int) -> None:
         mapping = tuning_mapping(found.tuning, model)
-        new = {axis: {**one, "retuned_at": time} for axis, one in mapping["axes"].items()}
+        when = {"retuned_at": time, "regime": self._state.regime}
+        new = {axis: {**one, **when} for axis, one in mapping["axes"].items()}
         axes = {**dict(self._axes()), **new}
         axes = {axis: axes[axis] for axis in AXES if axis in axes}
         missing = {axis: self._missing(axis) for axis in AXES if axis not in axes}
         self._gains = {**mapping, "axes": axes, "refused": missing}
         if self._path:
-            self._kept(write_gains(self._gains, self._path, keep=not self.published))
+            self._kept(write_gains(self._gains, self._path, keep=not self._replaced))
+            self._replaced = True
         self.published.append((time, tuple(new)))
         file = str(self._path) if self._path else None
         loop = {name: mapping[name] for name in ("design", "rate", "latency", "note")}

@@ -155,19 +155,34 @@ function alarmed(alarm) { // a revision takes the place of its alarm
     return `${axis} ${what.replaceAll("_", " ")} ${ratio ? "times" : "by"} ${between(low, high)}${unit && ` ${unit}`}`;
   });
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
-  raised.set(alarm.revises ?? alarm.time, {box, number});
+  raised.set(alarm.revises ?? alarm.time, {box, number, alarm});
   noted(box);
+  outdated();
+}
+
+const regains = [];
+function outdated() { // marks gains of before an alarm
+  const after = [...raised.values()].map(one => one.alarm).filter(alarm => !alarm.cause.startsWith("pose"));
+  for (const {message, box, mark} of regains) {
+    const names = Object.keys(message.axes), late = after.filter(alarm => (alarm.revises ?? alarm.time) > message.time);
+    const old = names.filter(name => late.some(alarm => alarm.cause === "another_vehicle" || alarm.axes.includes(name)));
+    mark.textContent = old.length ? `; of before the alarm: ${old.join(", ")}` : "";
+    box.classList.toggle("old", old.length === names.length);
+  }
 }
 
 function regained(message) {
-  const box = made("div", "gains"), head = made("div"), names = Object.keys(message.axes);
+  const box = made("div", "gains"), head = made("div"), mark = made("span"), names = Object.keys(message.axes);
   head.append(made("b", "", "new gains"), ` for ${names.join(", ")}, at ${message.time.toFixed(1)} s${message.file ? `, in ${message.file}` : ""}`);
+  head.append(mark);
   box.append(head);
   for (const name of names) {
     const {bandwidth, stiffness, rate_gain} = message.axes[name];
-    box.append(made("p", "", `${name}: bandwidth ${figure(bandwidth)} rad/s, stiffness ${figure(stiffness)}, rate ${figure(rate_gain)}: ${message.why[name]}.`));
+    box.append(made("p", "", `${name}: bandwidth ${figure(bandwidth)} rad/s, stiffness ${figure(stiffness)} 1/s², rate ${figure(rate_gain)} 1/s: ${message.why[name]}.`));
   }
+  regains.push({message, box, mark});
   noted(box);
+  outdated();
 }
 
 let due = false;
