@@ -806,6 +806,27 @@ def test_a_port_that_cannot_be_opened_is_one_line() -> None:
         mavlink.open_link("udpin:no-such-host.invalid:1", load_card("mavlink"))
 
 
+@pytest.mark.parametrize(
+    "address",
+    ["/dev/ttyS0:57600", "/dev/ttyS0,fast", "udp://:14540", "udpin:0.0.0.0", "serial:/dev/ttyS0:57600", "foo", "COM3"],
+)
+def test_what_is_no_address_is_told_the_forms_of_one(address: str) -> None:
+    with pytest.raises(LinkError, match=rf"{address} is no address; give udpin:HOST:PORT .* \(/dev/ttyUSB0,57600; 115"):
+        mavlink.connect(address)
+
+
+def test_a_port_that_nobody_serves_prints_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("time.sleep", lambda _seconds: None)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+
+    with pytest.raises(LinkError, match="Connection refused"):
+        mavlink.connect(f"tcp:127.0.0.1:{port}")
+    assert capsys.readouterr().out == ""
+
+
 def test_two_flights_do_not_share_a_port() -> None:
     first = mavlink.connect("udpin:127.0.0.1:0")
     port = first.port.getsockname()[1]

@@ -1,7 +1,7 @@
 """MAVLink: body velocities to PX4 in OFFBOARD or ArduPilot Copter in GUIDED; local position and attitude back.
 
 Needs pymavlink (LGPL): pip install 'rotorfit[mavlink]'. The address is pymavlink's: `udpin:0.0.0.0:14540` (default),
-`tcp:HOST:PORT`, `/dev/ttyACM0`.
+`tcp:HOST:PORT`, `/dev/ttyUSB0,57600`.
 
 Source: PX4 user guide, "Offboard Mode": setpoints for a second before the mode is entered, and at 2 Hz or more in it.
 ArduPilot developer guide, "Copter Commands in Guided Mode": velocities hold for 3 s.
@@ -11,6 +11,7 @@ import errno
 import fcntl
 import importlib
 import os
+import re
 import select
 import socket
 from collections import deque
@@ -47,6 +48,11 @@ from rotorfit.flying.links.mavlink_messages import (
 )
 
 DEFAULT_ADDRESS = "udpin:0.0.0.0:14540"
+
+ADDRESS = (
+    r"(?:(?:udp|udpin|udpout|udpbcast|tcp|tcpin):)?[^:/,]+:\d+|/[^:,]+(?:,\d+)?|(?:uds|unix|mcast|wss?|wsserver):.+"
+)
+"""Forms of an address that pymavlink takes for what was meant; it tries a file's name or a host where it is another."""
 
 SYSTEM, COMPONENT = 245, 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 
@@ -90,7 +96,7 @@ def open_link(address: str, card: Card) -> "MavlinkLink":
     """Waits for an autopilot.
 
     Args:
-        address: As pymavlink has it; empty for `udpin:0.0.0.0:14540`, where PX4 looks for companion computers.
+        address: See `ADDRESS`; empty for `udpin:0.0.0.0:14540`, where PX4 looks for companion computers.
         card: What the velocities mean; the built-in one is `mavlink`.
 
     Raises:
@@ -606,14 +612,24 @@ class _Outlet:
         self._patience = BLOCKED
 
 
+def _unsaid(*_: object) -> None:
+    """Takes what pymavlink would print among our lines of JSON; our errors say that a port fails or falls silent."""
+
+
 def connect(address: str) -> Any:
     """Opens a port.
 
     Raises:
-        LinkError: It cannot be opened.
+        LinkError: It has no form that an address has, or cannot be opened.
     """
+    if address and not re.fullmatch(ADDRESS, address):
+        raise LinkError(
+            f"mavlink: {address} is no address; give udpin:HOST:PORT to listen (udpin:0.0.0.0:14540), udpout:HOST:PORT "
+            "or tcp:HOST:PORT to call, or a serial port with its baud rate (/dev/ttyUSB0,57600; 115200 without one)"
+        )
     os.environ.setdefault("MAVLINK20", "1")  # read by pymavlink when it is imported
     mavutil = importlib.import_module("pymavlink.mavutil")
+    mavutil.print = _unsaid
     try:
         _refuse_if_taken(address or DEFAULT_ADDRESS)
         connection = mavutil.mavlink_connection(
