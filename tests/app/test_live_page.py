@@ -10,7 +10,7 @@ from test_studio_browser import CHROMIUM
 
 from rotorfit.app.live.page_server import LivePage
 from rotorfit.core.model import Interval
-from rotorfit.core.tracked import QUANTITIES, Tracked, TrackedAxis
+from rotorfit.core.tracked import QUANTITIES, Alarm, Tracked, TrackedAxis
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: the live page is not tested in a browser")
 
@@ -68,6 +68,22 @@ def test_a_wild_second_flattens_no_chart_and_an_empty_one_has_no_scale(live: tup
     assert 3.8 < low < 3.9
     assert 4.1 < high < 4.2
     assert page.evaluate("panels.get('yaw').parts.delay.chart.scales.y.max") is None
+
+
+def test_gains_of_before_an_alarm_are_marked(live: tuple[LivePage, Page]) -> None:
+    server, page = live
+    gains = {"bandwidth": 2.0, "stiffness": 3.5, "rate_gain": 1.25}
+    server.gains({"type": "gains", "time": 18.0, "axes": {"y": gains, "z": gains}, "why": {"y": "a", "z": "b"}}, 0)
+    block = page.locator(".gains")
+    expect(block.locator("div")).to_have_text("new gains for y, z, at 18.0 s")
+    expect(block.locator("p").first).to_have_text("y: bandwidth 2.00 rad/s, stiffness 3.50 1/s², rate 1.25 1/s: a.")
+
+    alarm = Alarm(20.5, ("y",), "payload", (19.9, 20.1), {}, 0.9, 1e-9, "because")
+    server.state(replace(told(21, 0.1), alarms=(alarm,)), 0, 0)
+    expect(block.locator("div")).to_have_text("new gains for y, z, at 18.0 s; of before the alarm: y")
+    server.state(replace(told(22, 0.1), alarms=(replace(alarm, axes=("y", "z"), time=21.5, revises=20.5),)), 0, 0)
+    expect(block.locator("div")).to_have_text("new gains for y, z, at 18.0 s; of before the alarm: y, z")
+    expect(block).to_have_class("gains old")
 
 
 def test_the_end_is_no_error(live: tuple[LivePage, Page]) -> None:
