@@ -64,7 +64,7 @@ def gains_of(message: Mapping[str, Any]) -> list[str]:
 def main() -> None:
     """Reads samples from standard input, writes words, alarms and gains to standard output."""
     from rotorfit.app.terminal import text_of
-    from rotorfit.app.terminal.tracking import track_view
+    from rotorfit.app.terminal.tracking import changes_of, track_view
     from rotorfit.core.tracked import Track
     from rotorfit.tracking.earlier import earlier_of
     from rotorfit.tracking.tracker import Tracker
@@ -97,7 +97,7 @@ def main() -> None:
         alarms = []
         for one in state.alarms:
             before = raised.get(one.raised) if one.revises is not None else None
-            raised[one.raised] = f"{one.time:.2f} s  {one.title}: {one.why}"
+            raised[one.raised] = "; ".join(filter(None, (f"{one.time:.2f} s  {one.title}: {one.why}", changes_of(one))))
             alarms.append((raised[one.raised], before))
         told = {"time": state.time, "words": state.words, "alarms": alarms, "gains": [*gains, *tracker.remarks()]}
         gains.clear()

@@ -109,8 +109,12 @@ def alarm_view(alarm: Alarm) -> View:
     yield head
     yield indented(f"{alarm.why}.", 11)
     if alarm.change:
-        changed = (_changed(alarm, name) for name in alarm.change)
-        yield indented(f"{'; '.join(changed)}.", 11)
+        yield indented(f"{changes_of(alarm)}.", 11)
+
+
+def changes_of(alarm: Alarm) -> str:
+    """What changed, and by how much; empty until that is known."""
+    return "; ".join(_changed(alarm, name) for name in alarm.change)
 
 
 def _changed(alarm: Alarm, name: str) -> str:
