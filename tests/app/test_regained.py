@@ -184,6 +184,7 @@ def test_what_a_tracker_resumes_from_has_the_gains_and_the_changes(published: bo
     again.close()
 
     assert again.recalled
+    assert again.unrevised == [*Followed.changes]
     assert resumed.summary.startswith("New gains: x at 6 s. Those of x are of" if published else "No new gains.")
 
 

@@ -408,6 +408,8 @@ def _listened(
             remembering = Remembering(memory, tracker, asked.regaining) if memory else None
             if remembering and remembering.recalled:
                 say(f"goes on from {memory}, as the same vehicle; another one, or another payload, needs a new file")
+                for alarm in remembering.unrevised:
+                    say(f"{alarm.time:.2f} s  {alarm.title}: never revised, so axes and cause are a first guess")
             if link.startswith("sim"):
                 from rotorfit.flying.links.sim_pilot import NAME
 
