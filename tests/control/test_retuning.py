@@ -297,6 +297,13 @@ def test_what_a_change_leaves_is_carried_over_under_the_law_with_a_lag_too() -> 
     assert "; input and damping are from before the change" in found.why["x"]
 
 
+def test_an_earlier_model_without_a_lag_does_not_stand_for_a_flight_that_shows_one() -> None:
+    fits = [lagged(error=0.2) for _ in range(3)]
+    (found,) = looks(Retuning(before=of_x(error=0.02)), *fits)
+
+    assert found.tuning.axes["x"].law == tune(fits[0], axes=("x",)).axes["x"].law
+
+
 def test_nothing_is_combined_across_two_laws() -> None:
     g, b, tau = VEHICLE["x"]
     retuning = Retuning(flown=flown(0.02), before=lagged(error=0.02))

@@ -51,6 +51,7 @@ from rotorfit.core.model import (
     Weighed,
     first_order,
     laws_of_vehicle,
+    predictor_of,
     weighed,
 )
 
@@ -320,10 +321,13 @@ def _carried_over(before: Model, now: Model, axis: str, names: Collection[str]) 
     apart = float(off @ np.linalg.solve(known + own, off))
     if np.linalg.det(own) <= np.linalg.det(known) or chdtr(kept.sum(), apart) > CONTRADICTED:
         return None
-    if kept.all():
-        return replace(before, findings=(*before.findings, *now.findings))
     both = [{law.structure: law for law in laws_of_vehicle(model, axis)} for model in (before, now)]
-    if any(next(iter(laws)) not in both[0].keys() & both[1].keys() for laws in both):
+    shared = both[0].keys() & both[1].keys()
+    if kept.all():
+        known_of = [set(predictor_of(model, axis).extra) for model in (before, now)]
+        lost = not shared and known_of[1] - known_of[0]
+        return None if lost else replace(before, findings=(*before.findings, *now.findings))
+    if any(next(iter(laws)) not in shared for laws in both):
         return None
     pairs = [(both[0][name], law) for name, law in both[1].items() if name in both[0]]
     if any(one.stderr.keys() != {*COEFFICIENTS, *one.predictor.extra} for pair in pairs for one in pair):
