@@ -629,7 +629,7 @@ def connect(address: str) -> Any:
         )
     os.environ.setdefault("MAVLINK20", "1")  # read by pymavlink when it is imported
     mavutil = importlib.import_module("pymavlink.mavutil")
-    mavutil.print = _unsaid
+    vars(mavutil)["print"] = _unsaid
     try:
         _refuse_if_taken(address or DEFAULT_ADDRESS)
         connection = mavutil.mavlink_connection(
