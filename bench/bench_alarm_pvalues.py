@@ -99,9 +99,9 @@ class Looks:
         self._looked = changes.looked_together
 
     def __call__(
-        self, scored: Sequence[changes.Scores], lengths: Sequence[float] = changes.WINDOWS
+        self, scored: Sequence[changes.Scores], lengths: Sequence[float] = changes.WINDOWS, back: float = changes.NEW
     ) -> tuple[dict, int]:
-        looked, count = self._looked(scored, lengths)
+        looked, count = self._looked(scored, lengths, back)
         parts = []
         for names, found in looked.items():
             axes = "+".join(dict.fromkeys(name.split(".")[0] for name in names))
