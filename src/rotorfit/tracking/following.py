@@ -320,8 +320,7 @@ class Following:
         suspected, self._suspected = self._suspected, None
         if standing:  # a vehicle that sags under a payload is flown on, one that lands may be another one afterwards
             self._raised = raised if raised and now < raised.found + SAGS else None
-            since, groups = (self._aloft.since, self._aloft.groups) if self._aloft else (now, self._groups)
-            self._aloft = _Aloft(since, now, groups)
+            self._aloft = replace(self._aloft, until=now) if self._aloft else _Aloft(now, now, self._groups)
             return None
         if self._aloft and now > self._aloft.until + NEW:
             self._aloft = None
