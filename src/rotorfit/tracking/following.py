@@ -324,9 +324,8 @@ class Following:
             return None
         if self._aloft and now > self._aloft.until + NEW:
             self._aloft = None
-        groups, back = self._groups, NEW
-        if self._aloft:
-            groups, back = self._aloft.groups, min(now - self._aloft.since, SAGS) + NEW
+        groups: Mapping[tuple[str, ...], Group] = self._aloft.groups if self._aloft else self._groups
+        back = NEW + (min(now - self._aloft.since, SAGS) if self._aloft else 0.0)
         if raised and now < raised.found + REVISED - 1e-6:
             self._raised = raised
             return None
@@ -427,6 +426,7 @@ class Following:
 
     def _begin(self, alarm: Alarm, when: float, before: _Before) -> None:
         """Begins a regime for the axes of an alarm; an axis that only its first version named is as it was before."""
+        self._aloft = None
         self._known = {axis: time for axis, time in self._known.items() if axis not in alarm.axes}
         self._since = {**before.since, **{axis: learnt_from(alarm, (axis,)) for axis in alarm.axes}}
         self._changed = {**before.changed, **dict.fromkeys(alarm.axes, when)}
