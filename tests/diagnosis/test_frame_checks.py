@@ -105,6 +105,16 @@ def test_a_heading_that_is_counted_the_other_way_round_is_told_with_little_turni
     assert "scale = -1" in told[0].remedy
 
 
+def test_a_wrong_frame_is_told_in_strong_wind_too_where_turned_directions_explain_a_part() -> None:
+    truth = replace(TRUTH, wind_sigma=(0.35, 0.35, 0.02, 0.008))
+    windy = flown(truth, steps(("x", "y", "yaw"), (0.2, 0.2, 0.2, 0.12), seed=4), 60.0, 4)
+    world = windy.command.copy()
+    world[:, :2] = heading_from_world(world[:, :2], -np.interp(windy.command_time, windy.pose_time, windy.yaw))
+
+    assert codes(windy) == []
+    assert codes(replace(windy, command=world)) == ["command_frame"]
+
+
 def test_a_vehicle_that_never_turned_cannot_tell_frames_and_one_that_did_can() -> None:
     still, turning = flight(axes=("x", "y")), flight()
     for one, expected in ((still, []), (turning, ["command_frame"])):

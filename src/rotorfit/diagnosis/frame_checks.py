@@ -46,8 +46,9 @@ BETTER = 0.7
 """Largest residual variance of another frame, as a share of that of the card's frame, for it to be reported."""
 
 STRAIGHT = 0.85
-"""The same for deviating directions against the right ones. When x and y are commanded by sine and cosine, as in the
-paper, a rotated direction is nearly equivalent to a delay: there standard errors alone prove nothing."""
+"""The same for deviating directions against the right ones, or for another frame that has its directions right. When x
+and y are commanded by sine and cosine, as in the paper, a rotated direction is nearly equivalent to a delay: there
+standard errors alone prove nothing."""
 
 DEGREE = float(np.pi / 180)
 
@@ -105,13 +106,22 @@ def frame_findings(recording: Recording) -> Iterator[Finding]:
     others = [directions(flight, part, moved, turns) for turns in _other_turns(card, float(np.std(part.yaw)))]
     if others:
         best = min(others, key=lambda other: other.left)
-        if best.left < BETTER * own.left and best.explained > LEAST_EXPLAINED and best.angle:
+        if _explains_more(best, own) and best.explained > LEAST_EXPLAINED and best.angle:
             yield _other_frame(card, own, best)
             return
     if _swings_by_itself(recording):
         yield _perhaps_held(motion)
     if own.explained > LEAST_EXPLAINED:
         yield from _turned(card, own, float(np.mean(part.yaw)), float(np.std(part.yaw)))
+
+
+def _explains_more(other: Directions, own: Directions) -> bool:
+    """Whether another frame certainly explains more: much more or, in wind or noise, with its directions right.
+
+    Turned directions make up for a part of a wrong frame, as far as the heading stays near its mean.
+    """
+    right = other.left > STRAIGHT * other.straight and other.straight < BETTER * own.straight
+    return other.left < (STRAIGHT if right else BETTER) * own.left
 
 
 def other_orders(pose: Mapping[str, Channel]) -> list[dict[str, Channel]]:
