@@ -273,6 +273,7 @@ class Retuning:
         return f"{reason}; {names} {'is' if len(belief.carried) == 1 else 'are'} from {whose}"
 
     def _why(self, model: Model, axis: str, fresh: AxisTuning) -> str:
+        """The reason for new gains; empty if those in use may stay."""
         anew, flown = axis in self._anew, self._flown.get(axis)
         self._anew.discard(axis)
         if flown is None:
@@ -336,7 +337,10 @@ def _carried_over(before: Model, now: Model, axis: str, names: Collection[str]) 
 
 
 def _combined(before: Weighed, now: Weighed, names: Collection[str]) -> Weighed:
-    """A law of a fit, with some coefficients as they were known before; what else makes it late is as its delay."""
+    """A law of a fit, with some coefficients as they were known before; what else makes it late is as its delay.
+
+    A lag or zero that follows them out of its range is at the end of that.
+    """
     every = (*COEFFICIENTS, *now.predictor.extra)
     (old, old_covariance), (new, new_covariance) = _normal(before, every), _normal(now, every)
     kept = np.array([(name if name in COEFFICIENTS else "delay") in names for name in every])
