@@ -163,6 +163,36 @@ def test_a_resumed_one_knows_the_gains_in_use_and_the_changes() -> None:
     assert resumed.summary == "New gains: x at 6 s; x at 11 s."
 
 
+def test_a_resumed_one_says_and_decides_as_if_it_had_never_stopped(tmp_path: Path) -> None:
+    """The gains of 6 s are of after the alarm of 3 s, however late it is revised. The pilot's file is the backup."""
+    path = tmp_path / "gains.toml"
+    save_gains(tune(only()), only(), path)
+    own = path.read_text()
+    flown = states(*(next_fit({"x": (1.5 * VEHICLE["x"][0], *VEHICLE["x"][1:])}) for _ in range(2)))
+    _, before = told(path, [replace(flown[0], alarms=(CHANGED,)), *flown[1:]])
+    resumed = told(path, [])[1]
+    resumed.recall([replace(CHANGED, time=20.0, revises=3.0)], False, json.loads(json.dumps(before.memory())))
+
+    assert resumed.summary == before.summary == f"New gains: x at 6 s. They are in {path}."
+    assert resumed._retuning._anew == before._retuning._anew == set()
+    assert (tmp_path / "gains.toml~").read_text() == own
+    for state in states(only(), only(), only()):
+        resumed.state(replace(state, time=state.time + 20), 0)
+    assert len(resumed.published) == 2
+    assert (tmp_path / "gains.toml~").read_text() == own
+
+
+def test_gains_of_an_axis_that_a_revision_named_later_are_of_before_it() -> None:
+    """They were made from a fit to both vehicles."""
+    flown = states(only(), only())
+    first = replace(flown[0], alarms=(replace(CHANGED, axes=("z",)),))
+    last = replace(
+        flown[-1], time=20.0, alarms=(replace(CHANGED, time=20.0, axes=("x", "z"), revises=3.0),), model=None
+    )
+
+    assert "Those of x are of before the alarm of 3.0 s" in told(None, [first, *flown[1:], last])[1].summary
+
+
 class Followed:
     """A tracker that remembers only that x has changed."""
 

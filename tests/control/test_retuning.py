@@ -335,3 +335,12 @@ def test_after_another_vehicle_only_what_this_flight_told_is_carried_past_a_chan
     (found,) = looks(retuning, *(of_x((2.0 * g, 1.2 * b, tau), error=0.2) for _ in range(3)))
 
     assert found.tuning.axes["x"].law.damping == pytest.approx(1.1 * b)
+
+
+def test_a_revision_takes_nothing_back_of_what_another_vehicle_means() -> None:
+    retuning = Retuning(flown=flown())
+    retuning.changed(("z",), "payload")
+    retuning.another()
+    retuning.changed(("z",), "payload", revised=True)
+
+    assert retuning._anew >= flown().keys()

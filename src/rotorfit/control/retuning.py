@@ -27,7 +27,7 @@ delay. Each law that both allow is combined, with the product of its weights. If
 outside 99 % of what both allow, or has another law than the earlier one, it is used alone.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -200,6 +200,12 @@ class Retuning:
         self._another = True
         self._anew |= self._flown.keys()
         self.kept.clear()
+        fits, before, carried, anew, _ = self._unchanged  # a revision takes nothing of it back
+        self._unchanged = fits, before, carried, anew | self._flown.keys(), {}
+
+    def retuned(self, axes: Iterable[str]) -> None:
+        """Notes that the gains in use of some axes were made after their last change."""
+        self._anew.difference_update(axes)
 
     def look(
         self, model: Model, known: Collection[str], excited: Collection[str] = (), doubted: bool = False

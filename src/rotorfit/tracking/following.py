@@ -349,7 +349,7 @@ class Following:
         if not calm(scored[names], earlier, best.since, p_value):
             self._suspected = suspected or now
             return None  # the air, not the vehicle
-        if not seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, names, earlier, threshold):
+        if not seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, groups, names, earlier, threshold):
             self._suspected = suspected or now  # a change that is barely seen may show in the answers a moment later
             return None  # the vehicle has not changed: it obeys another law at rest
         if self._told and is_same(self._told.alarm, since, now):
@@ -465,13 +465,21 @@ class Following:
         self._unlike |= {one.name.partition(".")[0] for one in found}
         return another_vehicle(found, earlier, state.time) if found else None
 
-    def _at_rest(self, flight: Flight, now: float, names: Sequence[str], before: float, threshold: float) -> bool:
+    def _at_rest(
+        self,
+        flight: Flight,
+        now: float,
+        groups: Mapping[tuple[str, ...], Group],
+        names: Sequence[str],
+        before: float,
+        threshold: float,
+    ) -> bool:
         """Whether a change was only found because x and y obey another law at rest: many vehicles brake or hold there.
 
         That is so if their answers to commands show none when fitted alone, up to the time `before` the change [s] if
         that is long enough; from then on they are.
         """
-        for axes, group in self._groups.items():
+        for axes, group in groups.items():
             if group.fitted is None or group.answers is not None or set(axes) & {"z", "yaw"}:
                 continue
             if not any(name.split(".")[0] in axes for name in names):
@@ -488,6 +496,8 @@ class Following:
             looked, _ = looked_together(scores_of_groups(recent_groups({axes: apart}, flight, now), flight))
             if looked and not any(one.p_value < threshold for each in looked.values() for one in each):
                 self._groups[axes] = apart
+                if self._aloft:
+                    self._aloft = replace(self._aloft, groups={**self._aloft.groups, axes: apart})
                 return True
         return False
 

@@ -236,7 +236,7 @@ class Remembering:
 
     def _all(self) -> Mapping[str, Any]:
         """The memory of the tracker, and of the gains."""
-        gains = {"gains": np.array(json.dumps(self._regaining.memory()))} if self._regaining else {}
+        gains = {"gains": np.array(json.dumps(self._regaining.memory(), default=str))} if self._regaining else {}
         return {**self._tracker.memory(), **gains}
 
     def close(self) -> None:

@@ -1,5 +1,6 @@
 """New gains while a vehicle flies: published as a message and, if wanted, as a file; nothing is ever commanded."""
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -64,7 +65,7 @@ class Regaining:
         self._path, self.listeners, self._kept = path, [listener], kept
         self._earlier, self._replaced = earlier, False
         self.published: list[tuple[float, Sequence[str]]] = []
-        self._changed: dict[str, Alarm] = {}  # the last alarm of each axis
+        self._changed: dict[str, tuple[Alarm, float]] = {}  # the last alarm of each axis, and when it named that
         self._unchanged = self._changed  # as before the last alarm
         self._state = Tracked(0.0, {})
         self._gains: dict[str, Any] = {"design": "predictor", "rate": None, "latency": LATENCY, "axes": {}}
@@ -83,7 +84,7 @@ class Regaining:
 
     def memory(self) -> dict[str, Any]:
         """What `recall` of another one continues from, as plain types of JSON."""
-        return {"gains": self._gains, "published": self.published}
+        return {"gains": self._gains, "published": self.published, "replaced": str(self._path) * self._replaced}
 
     def recall(self, changes: Collection[Alarm], another: bool, memory: Mapping[str, Any] | None) -> None:
         """Continues in a flight that another tracker has begun; call it before the first state.
@@ -96,9 +97,11 @@ class Regaining:
         if memory:
             self.published = [(time, tuple(axes)) for time, axes in memory["published"]]
             self._gains = self._gains if self._axes() else dict(memory["gains"])
+            self._replaced = self._path is not None and memory["replaced"] == str(self._path)
             self._retuning = self._begun()
         for alarm in changes:
-            self._note(replace(alarm, revises=None))
+            self._note(replace(alarm, time=alarm.raised, revises=None))
+        self._retuning.retuned(axis for axis, time in self._last.items() if time > self._changed_at(axis))
         if another:
             self._retuning.another()
 
@@ -106,13 +109,24 @@ class Regaining:
         """Takes an alarm."""
         if alarm.cause == "another_vehicle":
             self._retuning.another()
-            self._changed = self._unchanged = {**self._changed, **dict.fromkeys(AXES, alarm)}
+            self._changed = self._unchanged = {**self._changed, **dict.fromkeys(AXES, (alarm, alarm.time))}
         if alarm.cause in OF_THE_VEHICLE:
             again = alarm.revises is not None
             self._retuning.changed(alarm.axes, alarm.cause, again)
             if not again:
                 self._unchanged = self._changed
-            self._changed = {**self._unchanged, **dict.fromkeys(alarm.axes, alarm)}
+            named = {axis: at for axis, (one, at) in self._changed.items() if one.raised == alarm.raised}
+            changed = {axis: (alarm, named.get(axis, alarm.time)) for axis in alarm.axes}
+            self._changed = {**self._unchanged, **changed}
+
+    def _changed_at(self, axis: str) -> float:
+        """When the last alarm about an axis named it [s]; -inf if there is none."""
+        return self._changed[axis][1] if axis in self._changed else -math.inf
+
+    @property
+    def _last(self) -> dict[str, float]:
+        """Axis to the time of its last new gains [s]."""
+        return {axis: time for time, axes in self.published for axis in axes}
 
     def state(self, state: Tracked, now: int) -> None:
         """Publishes new gains if a state calls for them."""
@@ -144,11 +158,10 @@ class Regaining:
     @property
     def _outdated(self) -> str:
         """For each axis that changed after its last new gains, why they were not replaced."""
-        last = {axis: time for time, axes in self.published for axis in axes}
         return "".join(
             f" Those of {axis} are of before the alarm of {alarm.raised:.1f} s ({alarm.named}): {self._missing(axis)}."
-            for axis, alarm in self._changed.items()
-            if axis in last and last[axis] < alarm.raised
+            for axis, (alarm, named) in self._changed.items()
+            if self._last.get(axis, math.inf) < named
         )
 
     def _missing(self, axis: str) -> str:

@@ -155,17 +155,19 @@ function alarmed(alarm) { // a revision takes the place of its alarm
     return `${axis} ${what.replaceAll("_", " ")} ${ratio ? "times" : "by"} ${between(low, high)}${unit && ` ${unit}`}`;
   });
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
-  raised.set(alarm.revises ?? alarm.time, {box, number, alarm});
+  const named = {...Object.fromEntries(alarm.axes.map(axis => [axis, alarm.time])), ...before?.named}; // when first
+  raised.set(alarm.revises ?? alarm.time, {box, number, alarm, named});
   noted(box);
   outdated();
 }
 
 const regains = [];
 function outdated() { // marks gains of before an alarm
-  const after = [...raised.values()].map(one => one.alarm).filter(alarm => !alarm.cause.startsWith("pose"));
+  const after = [...raised.values()].filter(one => !one.alarm.cause.startsWith("pose"));
   for (const {message, box, mark} of regains) {
-    const names = Object.keys(message.axes), late = after.filter(alarm => (alarm.revises ?? alarm.time) > message.time);
-    const old = names.filter(name => late.some(alarm => alarm.cause === "another_vehicle" || alarm.axes.includes(name)));
+    const names = Object.keys(message.axes);
+    const told = ({alarm, named}, name) => alarm.cause === "another_vehicle" ? alarm.time : alarm.axes.includes(name) ? named[name] : -1;
+    const old = names.filter(name => after.some(one => told(one, name) > message.time));
     mark.textContent = old.length ? `; of before the alarm: ${old.join(", ")}` : "";
     box.classList.toggle("old", old.length === names.length);
   }
