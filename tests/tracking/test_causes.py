@@ -16,8 +16,8 @@ KNOWN = ("x.input", "x.damping", "x.delay"), ("y.input", "y.damping", "y.delay")
 ), ("yaw.input", "yaw.damping", "yaw.delay", "yaw.trim")  # fmt: skip
 
 
-def named(moved: Mapping[str, float], sharp: float = 400.0, freedom: float = 40.0) -> Diagnosis:
-    """The diagnosis of shifts by logarithms, seconds or accelerations, each known to 1/20 of what is looked for."""
+def shifted(moved: Mapping[str, float], sharp: float = 400.0, freedom: float = 40.0) -> list[tuple[Scores, Contrast]]:
+    """Shifts by logarithms, seconds or accelerations, each known to 1/20 of what is looked for."""
     parts = []
     for names in KNOWN:
         scale = np.array([EXPECTED[name.split(".")[1]] for name in names])
@@ -30,7 +30,12 @@ def named(moved: Mapping[str, float], sharp: float = 400.0, freedom: float = 40.
         parts.append(
             (scores, Contrast(10.0, shift, precision, float(shift @ precision @ shift), len(names), 1e-9, freedom))
         )
-    return diagnosis(parts)
+    return parts
+
+
+def named(moved: Mapping[str, float], sharp: float = 400.0, freedom: float = 40.0) -> Diagnosis:
+    """The diagnosis of such shifts."""
+    return diagnosis(shifted(moved, sharp, freedom))
 
 
 @pytest.mark.parametrize(
@@ -108,3 +113,13 @@ def test_what_may_be_zero_is_told_by_its_difference() -> None:
     assert [alarm.unit(name) for name in change] == ["s", "", "", "s"]
     another = replace(alarm, cause="another_vehicle")
     assert (another.is_ratio("z.lag"), another.unit("z.lag")) == (False, "s")
+
+
+def test_the_evidence_of_all_instants_counts_not_that_of_the_likeliest_alone() -> None:
+    """At one instant a push of z explains a little more than one factor on all gains does at each of the others."""
+    pushed = shifted({"z.trim": 1.22}, 10.0)
+    fallen = shifted({f"{axis}.input": -0.3 for axis in ("x", "y", "z", "yaw")}, 10.0)
+
+    assert diagnosis(pushed, fallen).cause == "payload"
+    assert diagnosis(pushed, *[fallen] * 3).cause == "limits"
+    assert diagnosis(pushed, *[fallen] * 3).confidence < diagnosis(fallen).confidence

@@ -1,5 +1,6 @@
 """The model of an earlier flight is said as such until the flight tells, and compared with what it tells."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from rotorfit.core.model import COEFFICIENTS, Model, unknown_axis
 from rotorfit.core.tracked import Track, Tracked, TrackedAxis
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import from_mapping, save, to_mapping
+from rotorfit.tracking import following as following_module
 from rotorfit.tracking.earlier import (
     SHARE,
     Earlier,
@@ -93,10 +95,10 @@ def test_only_what_the_flight_tells_in_their_place_is_compared() -> None:
     little = replace(told, values={**told.values, "input": None, "delay": None})
 
     assert compared(little, earlier, "x") != ()
-    assert told_after(little, earlier, "x", unlike=False).earlier == NAME
-    assert told_after(little, earlier, "x", unlike=False).against == {}
-    assert told_after(little, earlier, "x", unlike=True).against.keys() == {"steady_gain", "total_lag"}
-    assert set(COEFFICIENTS) <= told_after(told, earlier, "x", unlike=False).against.keys()
+    assert told_after(little, earlier, "x", alone=False).earlier == NAME
+    assert told_after(little, earlier, "x", alone=False).against == {}
+    assert told_after(little, earlier, "x", alone=True).against.keys() == {"steady_gain", "total_lag"}
+    assert set(COEFFICIENTS) <= told_after(told, earlier, "x", alone=False).against.keys()
 
 
 def test_nothing_told_without_the_damping_is_compared() -> None:
@@ -117,18 +119,18 @@ def test_numbers_that_this_flight_contradicts_are_not_shown() -> None:
     told = known()[1].states[-1].axes["x"]
     little = replace(told, state="not identifiable", values={**told.values, "damping": None})
     earlier = Earlier(scaled(own(), "x", 1.0 / 1.4), NAME)
-    shown = told_after(little, earlier, "x", unlike=False)
+    shown = told_after(little, earlier, "x", alone=False)
 
     assert (shown.earlier, shown.values) == ("", little.values)
     assert shown.state == "not identifiable (contradicts model.json: input)"
     assert shown.to_mapping()["contradicts_earlier"] == ["input"]
     assert 1.2 < shown.to_mapping()["against_earlier"]["input"][0] < 1.6
-    assert told_after(told, earlier, "x", unlike=False).contradicts == ("input",)
-    assert told_after(little, Earlier(own(), NAME), "x", unlike=False).earlier == NAME
+    assert told_after(told, earlier, "x", alone=False).contradicts == ("input",)
+    assert told_after(little, Earlier(own(), NAME), "x", alone=False).earlier == NAME
     other_law = replace(little, structure="first_order")
-    assert told_after(other_law, earlier, "x", unlike=False).earlier == NAME
+    assert told_after(other_law, earlier, "x", alone=False).earlier == NAME
     unknown = replace(told, values={**told.values, "input": None, "damping": None})
-    assert told_after(unknown, earlier, "x", unlike=False).earlier == NAME  # its steady gain may be anything yet
+    assert told_after(unknown, earlier, "x", alone=False).earlier == NAME  # its steady gain may be anything yet
 
 
 def test_once_another_vehicle_was_told_no_axis_shows_the_earlier_model() -> None:
@@ -154,6 +156,25 @@ def test_once_this_flight_has_told_an_axis_the_earlier_model_does_not_come_back(
     following.recall({**following.memory(), "told_itself": ["x"]})
     again = following.look(part, now).axes
     assert (again["x"].earlier, again["x"].values["delay"], again["y"].earlier) == ("", None, NAME)
+
+
+def test_once_this_flight_has_contradicted_an_axis_the_earlier_model_does_not_come_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen = []
+
+    def contradicted_once(out, _earlier, axis, alone):  # type: ignore[no-untyped-def]
+        seen.append((axis, alone))
+        return replace(out, contradicts=("input",)) if len(seen) == 1 else out
+
+    monkeypatch.setattr(following_module, "told_after", contradicted_once)
+    following = Following(LAW, 0.1, Earlier(own(), NAME))
+    for part, now in itertools.islice(growing(known_flight(), 5.0), 2):
+        following.look(part, now)
+
+    first = seen[0][0]
+    assert (first, False) in seen
+    assert seen[4:].count((first, True)) == 1
 
 
 def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:

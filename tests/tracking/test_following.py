@@ -220,11 +220,11 @@ def test_what_rest_explains_is_judged_by_the_flight_before_the_change() -> None:
     following = Following(LAW)
     following.look(until(flight, 20.0), 20.0)
     following._change(until(flight, 20.25), 20.25, standing=True)
-    assert following._aloft is not None
-    aloft, names = following._aloft.groups, ("x.input", "y.input")
-    assert following._at_rest(flight, 26.0, aloft, names, 20.0, 0.0)  # as if nothing were seen any more
+    assert following._sinking is not None
+    before, names = following._sinking.groups, ("x.input", "y.input")
+    assert following._at_rest(flight, 26.0, before, names, 20.0, 0.0)  # as if nothing were seen any more
 
-    assert all(one.answers is not None for axes, one in following._aloft.groups.items() if "x" in axes)
+    assert all(one.answers is not None for axes, one in following._sinking.groups.items() if "x" in axes)
     (group,) = (one for axes, one in following._groups.items() if "x" in axes)
     assert group.answers is not None
     assert group.fitted is not None

@@ -498,7 +498,7 @@ def _jolts_of(scores: Scores, back: float) -> _Jolts | None:
     chunks = int((now - back - LASTS - begin) / CHUNK)
     if not scores.jolts.size or chunks < LEAST_CHUNKS:
         return None
-    first, end = (int(np.searchsorted(scores.time, now - back)) for back in (LASTS, LASTS / 2))
+    first, end = (int(np.searchsorted(scores.time, now - ago)) for ago in (LASTS, LASTS / 2))
     new = np.unique(np.searchsorted(scores.time, np.arange(now - EARLIEST, now - EARLIEST - back, -APART)))
     if not scores.jolts[first:end].any(axis=0).all():  # a gap in the poses
         return None

@@ -156,17 +156,18 @@ def until_known(out: TrackedAxis, earlier: Earlier, axis: str) -> TrackedAxis:
     )
 
 
-def told_after(out: TrackedAxis, earlier: Earlier, axis: str, unlike: bool) -> TrackedAxis:
+def told_after(out: TrackedAxis, earlier: Earlier, axis: str, alone: bool) -> TrackedAxis:
     """The axis with the numbers of the earlier model while that tells more; from then on compared with it.
 
     Args:
         out: What this flight tells.
         earlier: The earlier model.
         axis: Name of the axis.
-        unlike: Whether the vehicle was found to be another one, of which the earlier model tells nothing.
+        alone: Whether the earlier model is not shown any more: the vehicle is another one, or this flight has told as
+            much.
     """
     against = contradicted(out, earlier, axis)
-    shown = out if unlike or against else until_known(out, earlier, axis)
+    shown = out if alone or against else until_known(out, earlier, axis)
     if shown.earlier:
         return shown
     told = {one.name.partition(".")[2]: one.change for one in (*compared(out, earlier, axis), *against)}

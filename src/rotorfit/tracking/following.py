@@ -123,7 +123,7 @@ class _Before:
 
 
 @dataclass(frozen=True)
-class _Aloft:
+class _BeforeSinking:
     """What was known before the vehicle may have touched down: a payload under which it sinks is learnt meanwhile.
 
     Attributes:
@@ -195,7 +195,7 @@ class Following:
         self._raised: _Raised | None = None
         self._told: _Raised | None = None  # the alarm that was revised last
         self._suspected: float | None = None
-        self._aloft: _Aloft | None = None
+        self._sinking: _BeforeSinking | None = None
         self._watched: dict[str, float] = {}
         self._untested: dict[str, float] = {}
         self._tallied: dict[str, tuple[float, int, int]] = {}
@@ -320,12 +320,14 @@ class Following:
         suspected, self._suspected = self._suspected, None
         if standing:  # a vehicle that sags under a payload is flown on, one that lands may be another one afterwards
             self._raised = raised if raised and now < raised.found + SAGS else None
-            self._aloft = replace(self._aloft, until=now) if self._aloft else _Aloft(now, now, self._groups)
+            self._sinking = (
+                replace(self._sinking, until=now) if self._sinking else _BeforeSinking(now, now, self._groups)
+            )
             return None
-        if self._aloft and now > self._aloft.until + NEW:
-            self._aloft = None
-        groups: Mapping[tuple[str, ...], Group] = self._aloft.groups if self._aloft else self._groups
-        back = NEW + (min(now - self._aloft.since, SAGS) if self._aloft else 0.0)
+        if self._sinking and now > self._sinking.until + NEW:
+            self._sinking = None
+        groups: Mapping[tuple[str, ...], Group] = self._sinking.groups if self._sinking else self._groups
+        back = NEW + (min(now - self._sinking.since, SAGS) if self._sinking else 0.0)
         if raised and now < raised.found + REVISED - 1e-6:
             self._raised = raised
             return None
@@ -426,7 +428,7 @@ class Following:
 
     def _begin(self, alarm: Alarm, when: float, before: _Before) -> None:
         """Begins a regime for the axes of an alarm; an axis that only its first version named is as it was before."""
-        self._aloft = None
+        self._sinking = None
         self._known = {axis: time for axis, time in self._known.items() if axis not in alarm.axes}
         self._since = {**before.since, **{axis: learnt_from(alarm, (axis,)) for axis in alarm.axes}}
         self._changed = {**before.changed, **dict.fromkeys(alarm.axes, when)}
@@ -496,8 +498,8 @@ class Following:
             looked, _ = looked_together(scores_of_groups(recent_groups({axes: apart}, flight, now), flight))
             if looked and not any(one.p_value < threshold for each in looked.values() for one in each):
                 self._groups[axes] = apart
-                if self._aloft:
-                    self._aloft = replace(self._aloft, groups={**self._aloft.groups, axes: apart})
+                if self._sinking:
+                    self._sinking = replace(self._sinking, groups={**self._sinking.groups, axes: apart})
                 return True
         return False
 

@@ -92,7 +92,7 @@ class Regaining:
         Args:
             changes: The alarms of the flight so far.
             another: Whether the vehicle was found not to be that of the earlier model.
-            memory: What `memory` returned; None if no gains were published. Gains in the file come first.
+            memory: What `memory` returned; None of a file without it. Gains in the gains file come first.
         """
         if memory:
             self.published = [(time, tuple(axes)) for time, axes in memory["published"]]

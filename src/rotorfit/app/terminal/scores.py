@@ -15,7 +15,7 @@ from rotorfit.assessment.rows import SPEED
 from rotorfit.assessment.summary import read_first, spoiled
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import COEFFICIENTS, Interval, Model
+from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Model
 from rotorfit.reporting.verdict import STATUS
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def ladder_view(ladder: Ladder) -> View:
     """What forbids to use an axis; all rungs of each axis, one below the other, with their remarks; the findings."""
     yield title(f"Every method on {', '.join(ladder.paths)}")
-    if bad := spoiled(ladder.findings, {axis: rows[-1].axis for axis, rows in ladder.axes.items()}):
+    if bad := spoiled(ladder.findings, {axis: _told_axis(rows) for axis, rows in ladder.axes.items()}):
         yield Text(read_first(bad), style="bold")
     for axis, rows in ladder.axes.items():
         shown = table(axis, *COEFFICIENTS, "1 s", "against ml", left=(0, 5), gap=3)
@@ -48,6 +48,11 @@ def ladder_view(ladder: Ladder) -> View:
     for finding in told_together(ladder.findings):
         yield ""
         yield from finding_view(finding)
+
+
+def _told_axis(rows: Sequence[MethodRow]) -> Axis:
+    """An axis of the best rung that gives numbers; of the best where none does."""
+    return next((row.axis for row in reversed(rows) if row.axis.predictor), rows[-1].axis)
 
 
 _LADDER_LEGEND = (

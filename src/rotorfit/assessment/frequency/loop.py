@@ -58,7 +58,7 @@ def findings_of_loops(flights: Sequence[Flight], axes: Sequence[str], horizon: f
 def seem_to_answer(flights: Sequence[Flight], axis: str) -> bool:
     """Whether the commands of an axis may follow its motion; False where no flight can show it.
 
-    Only suspected: a false alarm costs a line, and a minute of sines beside a soft loop hardly shows more.
+    Only suspected, by chance of one open loop in eighty: a minute of sines beside a soft loop hardly shows more.
     """
     windows = [window for flight in flights if _commands(flight, axis) for window in windows_of(flight, axis)]
     return bool(windows) and _evidence(windows).suspected
