@@ -157,3 +157,10 @@ def test_a_law_without_a_delay_does_not_make_it_known() -> None:
     undelayed = replace(axis(), structure="first_order", delay=0.0, predictor=Predictor(4.0, 0.2, 0.0))
 
     assert "Known of x: input gain and damping; its law has no delay." in summary_of_model(model({"x": undelayed}))
+
+
+def test_axes_of_which_the_same_is_known_share_a_sentence() -> None:
+    found = summary_of_model(model({"x": axis(), "y": axis(delay="refuted"), "z": axis(delay="refuted")}))
+
+    assert found.count("Known of") == 1
+    assert "Known of y and z: input gain and damping; delay is refuted: the flights deny the law." in found

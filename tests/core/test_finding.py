@@ -1,13 +1,17 @@
+from dataclasses import replace
+
 from rotorfit.core.finding import Finding, told_together
 from rotorfit.core.plain import by_reason, listed
 
 
 def still(axis: str | None, evidence: str = "the {} command explains nothing") -> Finding:
-    return Finding("not_excited", "warning", evidence.format(axis), f"no coefficient of {axis} is a number", "x", axis)
+    return Finding(
+        "not_excited", "warning", evidence.format(axis), f"no coefficient of {axis} is a number", "move it", axis
+    )
 
 
 def test_what_holds_of_several_axes_is_told_once() -> None:
-    alone, whole = still("yaw", "the {} command is only a response"), still(None, "the poses repeat")
+    alone, whole = replace(still("yaw"), remedy="command it"), still(None, "the poses repeat")
 
     told = told_together([still("y"), whole, still("z"), alone])
 
@@ -17,8 +21,15 @@ def test_what_holds_of_several_axes_is_told_once() -> None:
     assert told[0].axis is None
 
 
+def test_evidence_that_differs_is_told_of_each_axis_under_one_effect() -> None:
+    (told,) = told_together([still("x", "0.3 of {}"), still("y", "0.4 of {}"), still("z", "0.3 of {}")])
+
+    assert told.evidence == "0.3 of x and z;\n0.4 of y"
+    assert told.effect == "no coefficient of x, y and z is a number"
+
+
 def test_findings_that_differ_in_more_than_the_axis_stay_apart() -> None:
-    both = still("x", "0.3 of {}"), still("y", "0.4 of {}")
+    both = still("x"), replace(still("y"), remedy="another")
 
     assert told_together(both) == both
     nameless = still("x", "nothing moves"), still("y", "nothing moves"), still(None, "nothing moves")

@@ -502,7 +502,7 @@ def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
             f"{found.correlation:+.2f} with the innovations {1e3 * found.lag / BLOCK_RATE:.0f} ms "
             f"before; all lags together, {found.sigmas:.0f} standard deviations of an open loop",
             f"the likelihood allows for it; regressions, including the paper's, bias gain and damping of {name}",
-            f"nothing for this model; {name} stays identifiable in a loop if a signal is added to its command from "
+            "nothing for this model; in a loop an axis stays identifiable if a signal is added to its command from "
             "outside, as by `rotorfit plan`",
             name,
         )

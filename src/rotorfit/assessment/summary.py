@@ -46,7 +46,10 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool =
     if whole:
         sentences.append(f"Known: {listed([_NAMES[name] for name in coefficients])} of {listed(whole)}.")
     bad = spoiled(model.findings, {axis: model.axes[axis] for axis in wanted})
-    sentences += [_partly_known(axis, model.axes[axis], axis not in bad) for axis in partly]
+    known = {axis: _partly_known(model.axes[axis], axis not in bad) for axis in partly}
+    sentences += [
+        said.format(listed([a for a in partly if known[a] == said])) for said in dict.fromkeys(known.values())
+    ]
     unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
     groups = {why: [axis for axis, status in unknown.items() if status == why] for why in _REASONS}
     if reasons := [_REASONS[why].format(listed(group, "or")) for why, group in groups.items() if group]:
@@ -70,13 +73,13 @@ def read_first(axes: Sequence[str]) -> str:
     return f"Do not use {listed(axes)} before you have read the findings."
 
 
-def _partly_known(axis: str, known: Axis, usable: bool) -> str:
-    """What is known of an axis if not every coefficient is; combinations only of an axis that may be used."""
+def _partly_known(known: Axis, usable: bool) -> str:
+    """What is known of an axis, `{}`, if not every coefficient is; combinations only of an axis that may be used."""
     given = given_by_law(known.structure)
     good = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "ok" and name not in given]
     lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] not in ("ok", "refuted")]
     refuted = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "refuted"]
-    head = f"Known of {axis}: {listed(good)}; " if good else f"Of {axis}, "
+    head = f"Known of {{}}: {listed(good)}; " if good else "Of {}, "
     if refuted:
         head += f"{listed(refuted)} {'is' if len(refuted) == 1 else 'are'} refuted: the flights deny the law"
         if not lost:

@@ -44,23 +44,37 @@ class Finding:
 
 
 def told_together(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Findings to be shown: those that say the same of several axes are one, which names all of them."""
+    """Findings to be shown: those of several axes with one effect and one remedy are one, which names all of them.
+
+    Evidence that differs is told of each axis, on a line of its own.
+    """
     groups: dict[tuple[object, ...], list[Finding]] = {}
     for number, finding in enumerate(findings):
-        words = (finding.evidence, finding.effect, finding.remedy)
-        alike = [re.sub(rf"\b{finding.axis}\b", "\0", text) for text in words] if finding.axis else []
-        own = () if alike and "\0" in alike[0] else (number,)  # it does not name its axis: nothing to add others to
+        named = finding.axis is not None and _of(finding.axis, "\0", finding.evidence) != finding.evidence
+        alike = [_of(str(finding.axis), "\0", text) for text in (finding.effect, finding.remedy)]
+        own = () if named else (number,)  # it does not name its axis: nothing to add others to
         groups.setdefault((finding.code, finding.severity, *alike, *own), []).append(finding)
     return tuple(_of_all(group) if len(group) > 1 else group[0] for group in groups.values())
 
 
 def _of_all(group: Sequence[Finding]) -> Finding:
-    """One finding for several that differ in their axis only."""
-    first, axes = group[0], listed([str(finding.axis) for finding in group])
-    evidence, effect, remedy = (
-        re.sub(rf"\b{first.axis}\b", axes, text) for text in (first.evidence, first.effect, first.remedy)
-    )
+    """One finding for several with the same effect and remedy."""
+    first = group[0]
+    by_evidence: dict[str, list[Finding]] = {}
+    for finding in group:
+        by_evidence.setdefault(_of(str(finding.axis), "\0", finding.evidence), []).append(finding)
+    evidence = ";\n".join(_of(str(same[0].axis), _axes(same), same[0].evidence) for same in by_evidence.values())
+    effect, remedy = (_of(str(first.axis), _axes(group), text) for text in (first.effect, first.remedy))
     return replace(first, evidence=evidence, effect=effect, remedy=remedy, axis=None)
+
+
+def _axes(group: Sequence[Finding]) -> str:
+    return listed([str(finding.axis) for finding in group])
+
+
+def _of(axis: str, other: str, text: str) -> str:
+    """The text with another name in the place of the axis's."""
+    return re.sub(rf"\b{axis}\b", other, text)
 
 
 def by_gravity(findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -47,8 +47,10 @@ def bullets(lines: Iterable[str]) -> View:
 def finding_view(finding: Finding) -> View:
     """A finding with its effect and remedy."""
     head = Text(finding.severity, style=COLOURS[finding.severity])
-    head.append(f" {finding.code}: {finding.evidence}", style="default")
+    evidence, *more = finding.evidence.split("\n")  # of several axes
+    head.append(f" {finding.code}: {evidence}", style="default")
     yield head
+    yield from (indented(line) for line in more)
     yield indented(f"Effect: {finding.effect}.")
     yield indented(f"Try: {finding.remedy}.")
 
