@@ -36,10 +36,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.app.comparison import compare_logs, comparison_mapping
 from rotorfit.app.demo import FLIGHTS, Demo, demo, demo_mapping
 from rotorfit.app.workflows import (
-    compare_logs,
-    comparison_mapping,
     fit_logs,
     ladder_logs,
     leave_one_out_logs,

@@ -10,12 +10,11 @@ import pytest
 
 import rotorfit as rf
 from flights import CARD, steps
+from rotorfit.app.comparison import compare_logs, comparison_mapping
 from rotorfit.app.workflows import (
     MODEL_MARK,
     REPORT_MARK,
     check_destination,
-    compare_logs,
-    comparison_mapping,
     fit_logs,
     load_flight,
     training_flights,

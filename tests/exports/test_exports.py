@@ -29,6 +29,7 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model, Predictor, unknown_axis, with_findings
 from rotorfit.core.results import AxisScore, FlightScores, Horizon, Validation
+from rotorfit.dynamics.other_limits import convert
 from rotorfit.dynamics.trajectory import simulate
 from rotorfit.exports import export
 from rotorfit.exports.formats import FORMATS
@@ -352,6 +353,13 @@ def test_physical_commands_move_the_vehicle_as_their_fractions_do(
     assert np.abs(off).max() < STEPPED
     assert "tilt asked for [rad]" in made.text
     assert "K:" not in export(model, "ros1", physical=True).text.replace("# There is no K", "")
+
+
+def test_an_export_of_a_converted_model_tells_no_limit_of_its_flights(model: Model) -> None:
+    said = export(convert(model, {"vertical_speed": 0.6}), "numpy", physical=True, trained={}).text
+
+    assert "divided by 0.6 m/s, its limit by the card of the model" in " ".join(said.replace("#", " ").split())
+    assert "speeds not known: the model was converted to other limits than those of its flights" in said
 
 
 def test_physical_commands_need_a_card_that_says_what_they_are(model: Model) -> None:

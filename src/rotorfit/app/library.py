@@ -40,7 +40,7 @@ from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Validation
 
 if TYPE_CHECKING:
-    from rotorfit.app.workflows import Comparison
+    from rotorfit.app.comparison import Comparison
     from rotorfit.assessment.method_comparison import Ladder
     from rotorfit.core.tracked import Track, Tracked
     from rotorfit.diagnosis.survey import Survey
@@ -288,17 +288,17 @@ def compare(
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
-        The validation of each model, and paired tests against the first model and against its baselines.
+        The validation of each model, and paired tests of each against the first model and against its own baselines.
 
     Raises:
         TypeError: `flights` are neither paths nor flights, or `models` are not a sequence of models.
         LogError, CardError, FlightError, ModelError: As in `validate`; no model is given.
     """
-    from rotorfit.app import workflows
+    from rotorfit.app.comparison import compare_models
 
     far = as_horizons(horizons)
     names, known = as_models(models)
-    return workflows.compare_models(names, known, as_logs(flights), as_card(card), far, progress)
+    return compare_models(names, known, as_logs(flights), as_card(card), far, progress)
 
 
 def report(

@@ -4,26 +4,21 @@ Model files and logs also become Cases: each model with the evidence for and aga
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from html import escape
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
 
 from rotorfit.app.first_use import FITTING, VALIDATION, compile_beforehand
 from rotorfit.assessment.advice import with_advice
-from rotorfit.assessment.case import UNPROVEN, Case, same_motion
+from rotorfit.assessment.case import UNPROVEN, Case, reservations
 from rotorfit.assessment.innovations import placed
 from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.assessment.method_comparison import Ladder, ladder
 from rotorfit.assessment.mismatch import beginning
-from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.prior_influence import with_influence
 from rotorfit.assessment.uncertainty import with_uncertainty
-from rotorfit.assessment.validation import dynamics_from_model, to_mapping, validate
+from rotorfit.assessment.validation import dynamics_from_model, validate
 from rotorfit.core.card import Card
-from rotorfit.core.display import FrameLibrary, columns_of, frame
-from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
-from rotorfit.core.finding import told_together
+from rotorfit.core.errors import CardError, LogError, RotorfitError
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
@@ -32,7 +27,7 @@ from rotorfit.core.log import Log
 from rotorfit.core.model import Model
 from rotorfit.core.plain import line_of
 from rotorfit.core.progress import Progress, part_of
-from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
+from rotorfit.core.results import CURVE, HORIZONS, Fit, Validation
 from rotorfit.core.writing import check_place
 from rotorfit.diagnosis.card_choice import another_card, card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
@@ -49,9 +44,6 @@ from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import fits, tables_of
 from rotorfit.flights.distinct import check_distinct
 from rotorfit.flights.several_files import flights_of
-
-if TYPE_CHECKING:
-    import polars as pl
 
 
 def load_flight(log: LogSpan, card: str | Card | None = None, raw: Log | None = None) -> Flight:
@@ -264,134 +256,6 @@ def usable_logs(
     return [log for number, log in enumerate(logs) if number not in told], lines
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Several models on the same logs.
-
-    Attributes:
-        paths: Paths of the model files, or names of the models.
-        validations: One for each model, in that order.
-        paired: `model 2` and later against `model 1`, and each against the baselines `hold` and `paper` of `model 1`.
-        notes: One for each model that could not be paired, with the reason; one where commands answer the motion.
-    """
-
-    paths: tuple[str, ...]
-    validations: tuple[Validation, ...]
-    paired: tuple[PairedTest, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    def __repr__(self) -> str:
-        return "\n\n".join(f"{name}: {one!r}" for name, one in zip(self.paths, self.validations, strict=True))
-
-    def _repr_html_(self) -> str:
-        parts = zip(self.paths, self.validations, strict=True)
-        return "".join(f"<h4>{escape(name)}</h4>{one._repr_html_()}" for name, one in parts)
-
-    @overload
-    def to_frame(self, library: Literal["polars"] = "polars") -> "pl.DataFrame": ...
-    @overload
-    def to_frame(self, library: Literal["pandas"]) -> Any: ...
-    def to_frame(self, library: FrameLibrary = "polars") -> Any:
-        """The prediction errors as a data frame: the column `model`, then those of `Validation.to_frame`.
-
-        Args:
-            library: `polars`, or `pandas`, which must be installed.
-
-        Raises:
-            ModuleNotFoundError: pandas is asked for and not installed.
-        """
-        parts = zip(self.paths, self.validations, strict=True)
-        rows = [(name, *row) for name, one in parts for row in one.rows()]
-        return frame(columns_of(("model", *SCORE_COLUMNS), rows), library)
-
-
-def compare_logs(
-    paths: Sequence[str], horizons: Sequence[float] = HORIZONS, progress: Progress | None = None
-) -> Comparison:
-    """Scores several models on the same logs, each by its own card.
-
-    Args:
-        paths: Model files and logs in any order, told apart by content; a log may be `LOG@T0:T1`.
-        horizons: How far to predict [s].
-        progress: Called with a fraction and a text; raising in it cancels.
-
-    Raises:
-        ModelError: There is no model among the paths.
-        FlightError: There is no log among them.
-    """
-    files = [path for path in paths if Path(path).is_file() and is_model_file(path)]
-    logs = [parse_log(path) for path in paths if path not in files]
-    if not files:
-        raise ModelError(f"no model among {', '.join(paths)}; give files written by `rotorfit fit -o` before the logs")
-    return compare_models(files, [load(path) for path in files], logs, horizons=horizons, progress=progress)
-
-
-UNFAIR = ("commands_reveal_wind", "other_axis_unknown")
-"""Findings on flights whose scores are not those of the coefficients alone."""
-
-
-def compare_models(
-    names: Sequence[str],
-    models: Sequence[Model],
-    logs: Sequence[LogSpan | Flight],
-    card: str | Card | None = None,
-    horizons: Sequence[float] = HORIZONS,
-    progress: Progress | None = None,
-) -> Comparison:
-    """As `compare_logs`, for models in memory; `names` are those of their files or others."""
-    validations, flights = [], []
-    for number, model in enumerate(models):
-        part = _part(progress, number, names)
-        validation, seen = validate_logs(model, logs, card, horizons, part)
-        validations.append(validation)
-        flights.append(seen)
-    alike = [all(map(same_motion, seen, flights[0])) for seen in flights]
-    notes = [
-        f"model {number}: its card reads other motion from these logs than that of model 1: no paired test with it"
-        for number, same in enumerate(alike, 1)
-        if not same
-    ]
-    biased = (one for each in validations for one in told_together(each.findings) if one.code in UNFAIR)
-    notes += dict.fromkeys(f"{one.evidence}: {one.effect}" for one in biased)
-    return Comparison(tuple(names), tuple(validations), _paired(validations, alike), tuple(notes))
-
-
-def _part(progress: Progress | None, number: int, names: Sequence[str]) -> Progress | None:
-    """Progress for one of several models, whose name it adds."""
-    part = part_of(progress, number, len(names))
-    return part and (lambda fraction, text: part(fraction, f"{names[number]} on {text}"))
-
-
-def _paired(validations: Sequence[Validation], alike: Sequence[bool]) -> tuple[PairedTest, ...]:
-    """Each model against the first and against the first one's baselines."""
-    first = validations[0]
-    tests = []
-    for number, (validation, same) in enumerate(zip(validations, alike, strict=True), 1):
-        fresh = (
-            () if a.fitted or b.fitted else a.moved for a, b in zip(validation.flights, first.flights, strict=True)
-        )
-        counted = tuple(fresh)
-        others = {"model 1": first.errors["model"], "hold": first.errors["hold"], "paper": first.errors["paper"]}
-        tests += [
-            paired_test((f"model {number}", name), validation.errors["model"], errors, counted)
-            for name, errors in others.items()
-            if same and name != f"model {number}"
-        ]
-    return tuple(tests)
-
-
-def comparison_mapping(comparison: Comparison) -> dict[str, Any]:
-    """The comparison as plain JSON types; the baselines are those of the first model."""
-    mappings = [to_mapping(validation) for validation in comparison.validations]
-    pairs = zip(comparison.paths, mappings, strict=True)
-    return {
-        "models": [{"path": path, "flights": mapping["flights"]} for path, mapping in pairs],
-        "baselines": mappings[0]["baselines"],
-        "paired": [asdict(test) for test in comparison.paired],
-        "notes": list(comparison.notes),
-    }
-
-
 def training_flights(model: Model) -> tuple[tuple[Flight, ...], tuple[str, ...]]:
     """The flights that a model was fitted to, if their logs are still in place and unchanged.
 
@@ -462,7 +326,8 @@ def cases_of(paths: Sequence[str], progress: Progress | None = None) -> tuple[tu
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
-        The cases, and one line about each training flight that could not be read again.
+        The cases, and one line about each training flight that could not be read again, and about what models are told
+        differently.
 
     Raises:
         ModelError: The first path is not a model.
@@ -486,8 +351,15 @@ def cases_of_models(
     notes: list[str] = []
     for number, (name, model) in enumerate(zip(names, models, strict=True)):
         training, left_out = training_flights(model)
-        part = _part(progress, number, names)
+        part = part_of_model(progress, number, names)
         scored = validate_logs(model, logs, card, CURVE, part, training) if logs else (UNPROVEN, ())
         cases.append(Case(name, model, training, *scored))
         notes += left_out
+    notes += reservations(names, models, [case.validation for case in cases])
     return tuple(cases), tuple(dict.fromkeys(notes))
+
+
+def part_of_model(progress: Progress | None, number: int, names: Sequence[str]) -> Progress | None:
+    """Progress for one of several models, whose name it adds."""
+    part = part_of(progress, number, len(names))
+    return part and (lambda fraction, text: part(fraction, f"{names[number]} on {text}"))

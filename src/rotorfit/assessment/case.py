@@ -1,6 +1,6 @@
 """Case: a model with the evidence for and against it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -8,7 +8,10 @@ import numpy as np
 
 from rotorfit.assessment.paired import paired_test
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.limits import meaning_of
 from rotorfit.core.model import Model
+from rotorfit.core.plain import listed
 from rotorfit.core.results import PairedTest, Validation
 
 
@@ -41,6 +44,34 @@ class Case:
     flights: tuple[Flight, ...] = ()
 
 
+def reservations(names: Sequence[str], models: Sequence[Model], validations: Sequence[Validation]) -> Iterator[str]:
+    """Where models are told different things of the same flights; a line for each, about it and the first model.
+
+    Args:
+        names: Names of the models.
+        models: The models.
+        validations: Their validations on the same flights.
+    """
+    first, its = models[0], validations[0]
+    for name, model, validation in zip(names, models, validations, strict=True):
+        if model.conversion:
+            yield f"{name} was converted: it is for flights under its new limits"
+        shared = [axis for axis in AXES if model.axes[axis].predictor and first.axes[axis].predictor]
+        other = [axis for axis in shared if meaning_of(model.card, axis) != meaning_of(first.card, axis)]
+        if other:
+            yield (
+                f"{name}: by its card a command of 1 on {listed(other)} asks for something else than by that of "
+                f"{names[0]}, or under other limits: of one log only one of them is true"
+            )
+        pairs = zip(validation.flights, its.flights, strict=True)
+        if turning := [own.path for own, other_own in pairs if own.unlike(other_own)]:
+            predicts, takes = (name, names[0]) if its.flights[0].heading == "measured" else (names[0], name)
+            yield (
+                f"{name}: x and y are not tested against {names[0]} on {listed(list(dict.fromkeys(turning)))}, where "
+                f"the heading turns: {predicts} predicts it, {takes} has no yaw and takes the recorded one"
+            )
+
+
 def paired_cases(cases: Sequence[Case]) -> dict[tuple[int, int], PairedTest]:
     """Tests every model against every later one, where their cards read the same motion from the logs."""
     tests = {}
@@ -50,6 +81,7 @@ def paired_cases(cases: Sequence[Case]) -> dict[tuple[int, int], PairedTest]:
             continue
         scored = zip(one.validation.flights, other.validation.flights, strict=True)
         counted = [() if a.fitted or b.fitted else a.moved for a, b in scored]
+        unlike = [a.unlike(b) for a, b in zip(one.validation.flights, other.validation.flights, strict=True)]
         first, second = (case.validation.errors["model"] for case in (one, other))
-        tests[i, j] = paired_test((one.path, other.path), first, second, counted)
+        tests[i, j] = paired_test((one.path, other.path), first, second, counted, unlike)
     return tests

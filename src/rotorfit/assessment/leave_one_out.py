@@ -78,7 +78,7 @@ def leave_one_out(
     return LeaveOneOut(
         flights=by_name["model"],
         baselines={name: by_name[name] for name in ("hold", "paper")},
-        paired=tuple(_paired(errors, name, moved) for name in ("hold", "paper")),
+        paired=tuple(_paired(errors, by_name, name) for name in ("hold", "paper")),
         spread=tuple(s for axis in AXES if axis in axes for s in _spreads(axis, models, moved)),
         notes=tuple(n for axis in AXES if axis in axes for n in _notes(axis, models, by_name["model"])),
     )
@@ -97,9 +97,12 @@ def require_two(count: int) -> None:
 
 
 def _paired(
-    errors: Sequence[Mapping[str, Mapping[str, StartErrors]]], name: str, moved: Sequence[tuple[str, ...]]
+    errors: Sequence[Mapping[str, Mapping[str, StartErrors]]], scores: Mapping[str, Sequence[FlightScores]], name: str
 ) -> PairedTest:
-    return paired_test(("model", name), [each["model"] for each in errors], [each[name] for each in errors], moved)
+    own, other = scores["model"], scores[name]
+    unlike = [a.unlike(b) for a, b in zip(own, other, strict=True)]
+    first, second = ([each[which] for each in errors] for which in ("model", name))
+    return paired_test(("model", name), first, second, [each.moved for each in own], unlike)
 
 
 def _spreads(axis: str, models: Sequence[Model], moved: Sequence[tuple[str, ...]]) -> list[LeftOut]:

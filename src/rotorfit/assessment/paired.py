@@ -32,8 +32,9 @@ LEAST_FREEDOM = 1
 AGREEMENT_FREEDOM = 2
 """Degrees of freedom that a flight needs for the test of whether the flights agree."""
 
-SAME = 1e-9
-"""Relative difference of the mean squares below which two predictors differ only by rounding."""
+SAME = 1e-4
+"""Relative difference of the mean squares below which two predictors are the same: searches that end at one maximum
+leave as much, and no figure shows it."""
 
 LESS = np.array([1.0, -1.0])
 """The first minus the second."""
@@ -51,7 +52,11 @@ class _Loss:
 
 
 def paired_test(
-    names: tuple[str, str], first: Errors, second: Errors, counted: Sequence[Collection[str]]
+    names: tuple[str, str],
+    first: Errors,
+    second: Errors,
+    counted: Sequence[Collection[str]],
+    unlike: Sequence[Collection[str]] | None = None,
 ) -> PairedTest:
     """Tests on every axis and at every horizon whether two predictors differ, for each flight and pooled.
 
@@ -60,13 +65,15 @@ def paired_test(
         first: Errors of the one that is judged.
         second: Errors of the other, on the same flights.
         counted: The axes of each flight that are pooled: those that it commands and to which no model was fitted.
+        unlike: The axes of each flight whose errors cannot be compared (`FlightScores.unlike`); by default none.
     """
+    apart = unlike if unlike is not None else [()] * len(first)
     horizons = first[0].keys() & second[0].keys() if first else ()
     return PairedTest(
         *names,
         {
             axis: {
-                key: {what: _compared(first, second, counted, axis, key, what) for what in QUANTITIES}
+                key: {what: _compared(first, second, counted, apart, axis, key, what) for what in QUANTITIES}
                 for key in sorted(horizons, key=float)
             }
             for axis in AXES
@@ -75,10 +82,19 @@ def paired_test(
 
 
 def _compared(
-    first: Errors, second: Errors, counted: Sequence[Collection[str]], axis: str, key: str, what: Quantity
+    first: Errors,
+    second: Errors,
+    counted: Sequence[Collection[str]],
+    unlike: Sequence[Collection[str]],
+    axis: str,
+    key: str,
+    what: Quantity,
 ) -> Paired:
     k, horizon = AXES.index(axis), float(key)
-    losses = [_loss(a[key], b[key], k, what, horizon) for a, b in zip(first, second, strict=True)]
+    losses = [
+        None if axis in axes else _loss(a[key], b[key], k, what, horizon)
+        for a, b, axes in zip(first, second, unlike, strict=True)
+    ]
     pool = [loss for loss, axes in zip(losses, counted, strict=True) if loss is not None and axis in axes]
     known = [loss for loss in pool if loss.freedom >= LEAST_FREEDOM] or pool
     return Paired(

@@ -134,11 +134,14 @@ def validate(
     found += _alone_in_the_plane(known, flights)
     found += findings_of_loops(flights, known, max(horizons))
     found = [*(one for each in misread for one in each), *sorted(found, key=lambda finding: finding.severity == "info")]
+    unlike = {name: [a.unlike(b) for a, b in zip(scores["model"], scores[name], strict=True)] for name in BASELINES}
     return Validation(
         flights=tuple(scores["model"]),
         baselines={name: tuple(scores[name]) for name in BASELINES},
         errors={name: tuple(each) for name, each in errors.items()},
-        paired=tuple(paired_test(("model", name), errors["model"], errors[name], counted) for name in BASELINES),
+        paired=tuple(
+            paired_test(("model", name), errors["model"], errors[name], counted, unlike[name]) for name in BASELINES
+        ),
         residuals=tuple(tests),
         findings=tuple(found),
         responses=responses,
@@ -253,7 +256,8 @@ def _score_flight(
         every = joined(pieces, horizons)
         axes = {a: score if wanted[name][k] else empty for k, (a, score) in enumerate(scores_of(every).items())}
         heading: Literal["predicted", "measured"] = "predicted" if turning[name] else "measured"
-        scores = FlightScores(flight.path, flight.span, axes, heading, was_fitted(model, flight), flight.moved)
+        fitted = was_fitted(model, flight)
+        scores = FlightScores(flight.path, flight.span, axes, heading, fitted, flight.moved, _turn(flight))
         out[name] = scores, {f"{h:g}": _known_errors(each, wanted[name]) for h, each in every.starts.items()}
     return out, band_scores(bands)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from rotorfit.core.frequency_response import ResponseComparison
     from rotorfit.core.model import Model
     from rotorfit.core.residuals import ResidualTests
+
+KEPT_HEADING = np.radians(10.0)
+"""Range of the heading [rad] over which it hardly matters whether a prediction is told it or predicts it."""
 
 PaperStatus = Literal["ok", "not_excited", "not_identifiable", "too_short"]
 
@@ -329,6 +333,7 @@ class FlightScores:
         heading: `predicted` by the model's own yaw, or `measured` where it has none.
         fitted: Whether the model was fitted to part of this stretch: then the scores prove nothing.
         moved: The axes that the flight excites itself, rather than merely holding while another axis moves them.
+        turned: Range of the heading within the segments of the flight [rad].
     """
 
     path: str
@@ -337,6 +342,25 @@ class FlightScores:
     heading: str
     fitted: bool = False
     moved: tuple[str, ...] = ()
+    turned: float = 0.0
+
+    def unlike(self, other: FlightScores) -> tuple[str, ...]:
+        """Axes whose errors cannot be compared with another predictor's on the same flight.
+
+        They are x and y of a flight that turns, where only one of the two takes its heading as recorded.
+        """
+        turns = max(self.turned, other.turned) > KEPT_HEADING
+        return ("x", "y") if turns and self.heading != other.heading else ()
+
+
+def named_apart(flights: Sequence[FlightScores], folders: bool = True) -> list[str]:
+    """Paths of flights, or names of their files; with the stretch where several are of one log."""
+    paths = [flight.path for flight in flights]
+    return [
+        (path if folders else Path(path).name)
+        + (f", {flight.span[0]:.1f} to {flight.span[1]:.1f} s" if paths.count(path) > 1 else "")
+        for path, flight in zip(paths, flights, strict=True)
+    ]
 
 
 SCORE_COLUMNS = (

@@ -250,7 +250,7 @@ def _physical(model: Model) -> tuple[Model, list[str]]:
             axes[name] = replace(axis, predictor=scaled(axis.predictor, factors[name]))
             notes.append(
                 f"The command of {name} is physical: what the vehicle takes is this divided by {meaning.setting:.10g} "
-                f"{COMMAND_UNITS[meaning.asked]}, its limit in the training flights."
+                f"{COMMAND_UNITS[meaning.asked]}, its limit by the card of the model."
             )
     check_cross_inputs(model, factors)
     return replace(model, axes=axes), notes

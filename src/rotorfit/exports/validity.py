@@ -48,6 +48,8 @@ def _largest(parts: Sequence[Array]) -> float:
 
 def training_of(subject: Subject, axis: str, trained: Mapping[str, Sequence[float]]) -> str:
     """A sentence about the speeds and commands of the training flights, in the export's commands."""
+    if subject.original.conversion:
+        return "speeds not known: the model was converted to other limits than those of its flights"
     if axis not in trained:
         return "speeds not known: its logs are not at hand"
     speed, command = trained[axis]

@@ -8,6 +8,7 @@ from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.rows import SPEED
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.results import named_apart
 from rotorfit.reporting.tables import unit_text
 from rotorfit.reporting.views import ChartRow, RowChart, look_of
 from rotorfit.reporting.words import chance, figure, rounded, term_of
@@ -71,8 +72,13 @@ def _shown(evidences: Sequence[Evidence], best: int, second: int, axis: str, hor
     """The result of the paired test of the two best models, in words."""
     test = evidences[min(best, second)].against.get(max(best, second))
     pooled = test.axes[axis][f"{horizon:g}"]["velocity"].pooled if test else None
-    if pooled is None:
+    if test is None:
         return "leads; not tested, for its card reads other motion"
+    if pooled is None:
+        scored = [evidences[k].case.validation.flights for k in (best, second)]
+        told = any(axis in one.unlike(other) for one, other in zip(*scored, strict=True))
+        why = "only one of the two is told where the vehicle turns" if told else "no flight has enough predictions"
+        return f"leads; not tested, for {why}"
     p = "" if pooled.p is None else f" ({chance(pooled.p)})"
     if pooled.verdict in ("better", "worse"):
         return f"leads, and that is no chance{p}"
@@ -85,7 +91,8 @@ def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: f
     for axis in AXES:
         unit, factor = SPEED[axis]
         rows, values = [], []
-        for number, flight in enumerate(cases[0].validation.flights):
+        flights = cases[0].validation.flights
+        for number, (flight, name) in enumerate(zip(flights, named_apart(flights, folders=False), strict=True)):
             dots = []
             for k, case in enumerate(cases):
                 role = "model" if len(cases) == 1 else look_of(k)
@@ -93,7 +100,6 @@ def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: f
             hold = cases[0].validation.baselines["hold"][number].axes[axis]
             dots.append(("naive", "holding the velocity", _error(hold, horizon)))
             if axis in flight.moved and any(value for _, _, value in dots[:-1]):
-                name = flight.path.rpartition("/")[2]
                 known = [(label, value) for _, label, value in dots if value is not None]
                 said = ", ".join(f"{label} {figure(factor * value)}" for label, value in known)
                 fitted = " (was fitted: proves nothing)" if flight.fitted else ""

@@ -17,7 +17,7 @@ from rotorfit.core.laws import structure_named
 from rotorfit.core.limits import Figure
 from rotorfit.core.model import STRUCTURE, Interval, Model
 from rotorfit.core.residuals import ResidualTests
-from rotorfit.core.results import HORIZONS, Difference, FlightScores, Paired, Validation
+from rotorfit.core.results import HORIZONS, Difference, FlightScores, Paired, Validation, named_apart
 from rotorfit.reporting.verdict import Use, Verdict, better, errors_text
 from rotorfit.reporting.words import figure, rounded, sentences, term_of
 
@@ -230,7 +230,8 @@ def mode_rows(model: Model) -> list[list[str]]:
 
 def flight_names(validation: Validation) -> list[str]:
     """Paths of the flights; those to which the model was fitted are marked, for they prove nothing."""
-    return [f"{flight.path} (fitted)" if flight.fitted else flight.path for flight in validation.flights]
+    named = zip(named_apart(validation.flights), validation.flights, strict=True)
+    return [f"{name} (fitted)" if flight.fitted else name for name, flight in named]
 
 
 def score_rows(validation: Validation) -> list[list[str]]:

@@ -62,7 +62,7 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
 @JSON
 def compare(paths: Sequence[str], as_json: bool) -> None:
     """Score several models side by side on the same flights."""
-    from rotorfit.app.workflows import compare_logs, comparison_mapping
+    from rotorfit.app.comparison import compare_logs, comparison_mapping
 
     with progress_bar() as progress:
         comparison = compare_logs(paths, progress=progress)

@@ -1,10 +1,10 @@
 """Terminal output of frequency responses: the flight's beside the model's, in tables that fit 80 columns."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rotorfit.app.terminal.tables import View, bullets, indented, table, title
+from rotorfit.core.results import named_apart
 
 if TYPE_CHECKING:
     from rotorfit.core.frequency_response import ResponseComparison
@@ -20,11 +20,11 @@ def responses_view(responses: Sequence[Mapping[str, "ResponseComparison"]], flig
     """
     from rotorfit.reporting.frequency import response_line, response_rows
 
-    for flight, axes in zip(flights, responses, strict=False):
+    for name, axes in zip(named_apart(flights, folders=False), responses, strict=False):
         if not axes:
             continue
         yield ""
-        yield title(f"Frequency response, {Path(flight.path).name}")
+        yield title(f"Frequency response, {name}")
         out = table("axis", "rad/s", "gain", "95 %", "model", "ms", "95 %", "model", "coh.", gap=1)
         for axis, each in axes.items():
             for number, row in enumerate(response_rows(each)):

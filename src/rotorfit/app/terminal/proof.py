@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.padding import Padding
@@ -12,6 +11,7 @@ from rotorfit.app.terminal.tables import NOTHING, View, bullets, finding_view, i
 from rotorfit.assessment.rows import SPEED
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
+from rotorfit.core.results import named_apart
 
 if TYPE_CHECKING:
     from rotorfit.assessment.leave_one_out import LeaveOneOut
@@ -45,6 +45,7 @@ def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]
         ("velocity", SHORT_HORIZON if SHORT_HORIZON in keys else keys[0]),
         ("position", keys[-1]),
     ]
+    names = named_apart(flights, folders=False)
     for number in range(len(flights) + (len(flights) > 1)):
         pooled = number == len(flights)
         out = table(
@@ -58,10 +59,8 @@ def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]
                 cells = [cell for each in found for cell in _difference(each, axis)]
                 out.add_row("" if place else axis, name.replace("model ", ""), *cells)
         if out.row_count:
-            name = (
-                "all flights that command the axis and were not fitted" if pooled else Path(flights[number].path).name
-            )
-            yield title(f"Is the difference real? {name}")
+            where = "all flights that command the axis and were not fitted" if pooled else names[number]
+            yield title(f"Is the difference real? {where}")
             yield out
     yield from _disagreements(tests, columns)
     yield from bullets(list(_left_out(tests, columns)))
@@ -122,12 +121,13 @@ def _left_out(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quantity",
 
 def bands_view(validation: "Validation") -> View:
     """Width and coverage of the predicted 95 % and 50 % error bands, flight by flight."""
-    for flight, axes in zip(validation.flights, validation.bands, strict=True):
+    names = named_apart(validation.flights, folders=False)
+    for flight, name, axes in zip(validation.flights, names, validation.bands, strict=True):
         shown = [axis for axis in flight.moved if any(score.velocity for score in axes.get(axis, {}).values())]
         if not shown:
             continue
         yield ""
-        yield title(f"Do the stated error bands hold? {Path(flight.path).name}")
+        yield title(f"Do the stated error bands hold? {name}")
         keys = list(axes[shown[0]])
         out = table("axis", "", *(f"{key} s" for key in keys), left=(0, 1))
         for axis in shown:
@@ -153,10 +153,10 @@ def _band(found: "Sequence[Coverage]", axis: str) -> str:
 
 def residuals_view(validation: "Validation") -> View:
     """The tests of the innovations, one line for each axis and flight, then the findings about the model."""
-    for flight, axes in zip(validation.flights, validation.residuals, strict=True):
+    for name, axes in zip(named_apart(validation.flights, folders=False), validation.residuals, strict=True):
         if axes:
             yield ""
-            yield title(f"What the residuals say, {Path(flight.path).name}")
+            yield title(f"What the residuals say, {name}")
             yield from bullets([f"{axis}: {residual_line(tests)}" for axis, tests in axes.items()])
     for finding in told_together(one for one in validation.findings if one not in validation.misread):
         yield ""

@@ -19,7 +19,7 @@ from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Model
 from rotorfit.reporting.verdict import STATUS
 
 if TYPE_CHECKING:
-    from rotorfit.app.workflows import Comparison
+    from rotorfit.app.comparison import Comparison
     from rotorfit.assessment.leave_one_out import LeaveOneOut
     from rotorfit.core.results import FlightScores, Validation
 
@@ -148,7 +148,7 @@ def comparison_view(comparison: "Comparison") -> View:
     yield from bullets([f"{name}: {path}" for name, path in zip(names, comparison.paths, strict=True)])
     yield ""
     models = {name: each.flights for name, each in zip(names, comparison.validations, strict=True)}
-    yield from _scores_view({**models, **comparison.validations[0].baselines}, tuple(models))
+    yield from _scores_view({**models, **comparison.baselines}, tuple(models))
     yield ""
     yield from paired_view(comparison.paired, comparison.validations[0].flights)
     yield from bullets(comparison.notes)
@@ -160,7 +160,7 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
         start, end = flight.span
         rows = {name: each[number] for name, each in scores.items()}
         shown = [axis for axis in flight.moved if any(_has_scores(rows[name], axis) for name in models)]
-        yield title(f"{flight.path}, {start:.2f} to {end:.2f} s; heading {flight.heading}")
+        yield title(f"{flight.path}, {start:.2f} to {end:.2f} s; heading {_headings(rows, models)}")
         if seen := [name for name in models if rows[name].fitted]:
             told = "the model" if models == ("model",) else ", ".join(seen)
             yield indented(f"{told} was fitted to it: proves nothing. Give a flight that was not fitted.")
@@ -181,11 +181,20 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
         "v: RMSE of the predicted velocity over all steps up to the horizon [cm/s, yaw deg/s]; p: RMSE of the position "
         "at its end [cm, yaw deg]; fit: of 1 s velocity predictions; n: predictions. hold keeps the velocity of the "
         "start; paper uses the paper's coefficients with a filter of their own, as a model of that method does; coast "
-        "uses them from the state of the model's filter, without trim and disturbance. heading predicted: x and y are "
-        "predicted along the heading that the model of yaw gives; measured: along the recorded one, because the "
-        "model has no yaw.",
+        "uses them from the state of the model's filter, without trim and disturbance"
+        + ("; shown are those of the first model that knows the axis, tested each model's own" * (len(models) > 1))
+        + ". heading predicted: x and y are predicted along the heading that the model of yaw gives; measured: along "
+        "the recorded one, because the model has no yaw.",
         style="dim",
     )
+
+
+def _headings(rows: Mapping[str, "FlightScores"], models: Sequence[str]) -> str:
+    """Whether the heading is predicted or measured, model by model where that differs."""
+    told = {name: rows[name].heading for name in models}
+    if len(set(told.values())) == 1:
+        return told[models[0]]
+    return ", ".join(f"{heading} ({name})" for name, heading in told.items())
 
 
 def _has_scores(scores: "FlightScores", axis: str) -> bool:
@@ -203,6 +212,6 @@ def _score_table(rows: Mapping[str, "FlightScores"], axes: Sequence[str], horizo
             fit = flight.axes[axis].fit_percent
             cells = ["-" if value is None else three_digits(scale * value) for value in values]
             out.add_row("" if number else axis, name, *cells, "-" if fit is None else f"{fit:.0f} %")
-        counts = [next(iter(rows.values())).axes[axis].horizons[horizon].n for horizon in horizons]
+        counts = [max(flight.axes[axis].horizons[horizon].n for flight in rows.values()) for horizon in horizons]
         out.add_row("", "n", *(str(n) for n in counts), *[""] * (len(counts) + 1), style="dim")
     return out

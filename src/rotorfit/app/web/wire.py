@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.app.comparison import Comparison
 from rotorfit.app.web.card_lines import QUANTITIES, card_from_text, parsed
 from rotorfit.app.web.workspace import LARGEST_LOG, MOST_LOGS, Running, Session
-from rotorfit.app.workflows import Comparison
 from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.card import Card
@@ -227,7 +227,7 @@ def compared_mapping(
     """Errors of several models and of the baselines, flight by flight, and whether the differences are significant."""
     columns = {
         **{f"fit {fit}": each.flights for fit, each in zip(fits, comparison.validations, strict=True)},
-        **{name: comparison.validations[0].baselines[name] for name in ("paper", "coast", "hold")},
+        **{name: comparison.baselines[name] for name in ("paper", "coast", "hold")},
     }
     rows = []
     for number, flight in enumerate(comparison.validations[0].flights):
@@ -252,7 +252,7 @@ def compared_mapping(
         {**test, "first": named[test["first"]], "second": named.get(test["second"], test["second"])}
         for test in whole["paired"]
     ]
-    alike = [f"fit {fit}" for fit, model in zip(fits, models, strict=True) if _is_the_baseline(model, models[0])]
+    alike = [f"fit {fit}" for fit, model in zip(fits, models, strict=True) if _is_the_baseline(model)]
     notes = [re.sub(r"\bmodel \d+\b", lambda found: named[found[0]], note) for note in whole["notes"]]
     return {
         "columns": list(columns),
@@ -262,10 +262,9 @@ def compared_mapping(
     }
 
 
-def _is_the_baseline(model: Model, first: Model) -> bool:
-    """Whether a model is the baseline `paper`, which is fitted to the first model's flights."""
-    pairs = zip(model.paper, first.paper, strict=True)
-    return model.method == "paper" and all(a == b for a, b in pairs if a is not None and b is not None)
+def _is_the_baseline(model: Model) -> bool:
+    """Whether a model is its own baseline `paper`."""
+    return model.method == "paper"
 
 
 def _fitted(number: int, models: Iterable[Sequence[Any]]) -> list[bool]:

@@ -16,9 +16,10 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+from rotorfit.app.comparison import compare_models, comparison_mapping
 from rotorfit.app.web.wire import compared_mapping, result_mapping
 from rotorfit.app.web.workspace import WorkspaceError
-from rotorfit.app.workflows import compare_models, comparison_mapping, fit_logs, usable_logs, validate_logs
+from rotorfit.app.workflows import fit_logs, usable_logs, validate_logs
 from rotorfit.assessment.case import Case
 from rotorfit.assessment.evidence import evidence_of
 from rotorfit.assessment.validation import BASELINES, to_mapping

@@ -32,7 +32,7 @@ export function comparePanel(place, studio) {
         h("tr", {}, h("th", {}, "Axis"), heads("velocity"), heads("position"), h("th", {className: "number"}, "n"))),
       stretches.map(one => h("tbody", {}, h("tr", {}, h("th", {colSpan: across}, h("span", {className: "stays"}, one))),
         rows.filter(row => stretch(row) === one).map(row => h("tr", {}, h("td", {}, row.axis), cells(row, "velocity"), cells(row, "position"), h("td", {className: "number"}, String(row.n)))))))),
-      h("p", {className: "muted"}, "Bold: the smallest. hold keeps the velocity of the start; paper uses the paper's coefficients. * fitted to part of this stretch."),
+      h("p", {className: "muted"}, "Bold: the smallest. hold keeps the velocity of the start; paper uses the paper's coefficients with a filter of their own, coast from the state of the model's filter; they are those of the first model that knows the axis, and each model is tested against its own. * fitted to part of this stretch."),
       paired(), [...(found.left_out ?? []).map(line => `left out: ${line}`), ...found.notes].map(note => h("p", {className: "muted"}, note))));
   }
 
