@@ -25,10 +25,9 @@ from rotorfit.core.model import NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
-from rotorfit.tracking.air import AVERAGED, LOOKS_BACK, courses
+from rotorfit.tracking.air import AVERAGED, LOOKS_BACK, courses, doubts_of
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing
-from rotorfit.tracking.wind_error import coefficient_error
 
 SETTLED = 30.0
 HELD, BOUND = ("held", "informed held"), ("bound", "damping")
@@ -74,12 +73,13 @@ def errors(flown: ChangingFlight, structure: str) -> list[dict[str, float]]:
             estimates |= group.fitted.estimates if group.fitted else {}
         exact = {axis: informed(estimates[axis], flown, axis) for axis in "xy"}
         known = courses(part, exact, {})[0]
+        bounds = doubts_of(part, exact, {axis: {} for axis in exact}, known)
         for k, axis in enumerate("xy"):
             low, high = state.axes[axis].wind_ci95
             row[f"{axis} error"] = state.axes[axis].wind - true[k]
             row[f"{axis} informed"] = known[axis].wind - true[k]
             row[f"{axis} informed held"] = abs(known[axis].wind - true[k]) <= NORMAL * known[axis].wind_error
-            row[f"{axis} bound"] = coefficient_error(part, axis, exact[axis], {})
+            row[f"{axis} bound"] = bounds[axis].wind
             row[f"{axis} damping"] = estimands(exact[axis].optimum, exact[axis].place)["damping"].error(
                 exact[axis].optimum
             )

@@ -15,11 +15,12 @@ from rotorfit.tracking.motion_stream import MotionStream
 from rotorfit.tracking.refits import GroupEstimate, refitted
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.tracker import Tracker
+from rotorfit.tracking.wind_error import Doubt
 from tracked_flights import LAW, known_flight
 
 pytestmark = pytest.mark.flights
 
-NO_DOUBT = dict.fromkeys(AXES, 0.0)
+NO_DOUBT = dict.fromkeys(AXES, Doubt(0.0, 0.0))
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ acceleration is c + b s + s'; where the damping b is the drag of the air, the wi
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from rotorfit.dynamics.motion_filter import SAMPLES, MotionFilter, motion_filter
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
 from rotorfit.tracking.drag import is_drag
-from rotorfit.tracking.wind_error import trim_error
+from rotorfit.tracking.wind_error import Doubt, coefficient_doubt, trim_error
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,37 @@ def courses(
             found.append(Course(tuple(known), running, force))
             air = air or wind
     return out, air, tuple(found)
+
+
+def doubts_of(
+    flight: Flight,
+    estimates: Mapping[str, Estimate],
+    widened: Mapping[str, Mapping[str, float]],
+    moving: Mapping[str, AxisNow],
+) -> dict[str, Doubt]:
+    """Axis name to the errors of its motion due to its coefficients, of every estimated axis that has a motion.
+
+    Args:
+        flight: The flight so far.
+        estimates: Axis name to its estimate.
+        widened: Axis name to what `coefficient_doubt` takes.
+        moving: Axis name to its motion.
+    """
+    turn = float(flight.yaw[-1])
+    along = {axis: np.array([one.velocity, one.ahead]) for axis, one in moving.items()}
+    if {"x", "y"} <= along.keys():
+        in_heading = heading_from_world(np.column_stack([along["x"], along["y"]]), np.full(2, turn))
+        along |= dict(zip(("x", "y"), in_heading.T, strict=True))
+    out = {
+        axis: coefficient_doubt(flight, axis, one, widened[axis], (along[axis][0], along[axis][1]))
+        for axis, one in estimates.items()
+        if axis in moving
+    }
+    if {"x", "y"} <= out.keys():  # the prediction is in the world, the wind along the heading
+        parts = world_from_heading(np.diag([out["x"].ahead, out["y"].ahead]), np.full(2, turn))
+        for axis, each in zip(("x", "y"), parts.T, strict=True):
+            out[axis] = replace(out[axis], ahead=float(np.hypot(*each)))
+    return out
 
 
 def _filtered(

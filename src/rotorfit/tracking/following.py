@@ -25,7 +25,7 @@ from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import late_by
-from rotorfit.tracking.air import AxisNow, Course, courses
+from rotorfit.tracking.air import AxisNow, Course, courses, doubts_of
 from rotorfit.tracking.alarms import (
     alarm_of,
     diagnosed,
@@ -75,7 +75,7 @@ from rotorfit.tracking.refits import (
 )
 from rotorfit.tracking.regimes import Bounds, fading, learnt_from, model_of_own, regimes_of
 from rotorfit.tracking.scores import CHUNK, WINDOWS, Scores
-from rotorfit.tracking.wind_error import coefficient_error
+from rotorfit.tracking.wind_error import Doubt
 
 EVERY, GLANCE = 1.0, 0.25
 """Time between looks, and between glances [s]."""
@@ -172,7 +172,7 @@ class Following:
     Attributes:
         next_look: Time of the next look [s].
         courses: Motion filters of the last look, ready to be continued.
-        doubt: Axis name to the standard error of the wind due to the coefficients [m/s^2, rad/s^2].
+        doubt: Axis name to the errors of its motion due to the coefficients.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class Following:
         self._kept: dict[float, Model | None] = {}
         self.next_look = LEAST_TIME
         self.courses: tuple[Course, ...] = ()
-        self.doubt: dict[str, float] = {}
+        self.doubt: dict[str, Doubt] = {}
 
     def follow(self, flight: Flight, now: float, standing: bool = False) -> Tracked | None:
         """A look at the flight so far, if one is due; else a glance. See both."""
@@ -518,11 +518,7 @@ class Following:
         }
         damping = {axis: damping_interval(one, widened[axis]) for axis, one in known_wind.items()}
         moving, air, self.courses = courses(flight, vehicles, damping)
-        self.doubt = {
-            axis: coefficient_error(flight, axis, one, widened[axis])
-            for axis, one in known_wind.items()
-            if axis in moving
-        }
+        self.doubt = doubts_of(flight, known_wind, widened, moving)
         axes = {
             axis: self._axis(flight, axis, now, known.get(axis), report.get(axis), moving.get(axis))
             for axis in flight.axes
@@ -575,16 +571,17 @@ class Following:
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure
             )
-        if motion is None or axis not in self.doubt:
+        doubt = self.doubt.get(axis)
+        if motion is None or doubt is None:
             return out
         return replace(
             out,
             wind=motion.wind,
-            wind_ci95=_around(motion.wind, float(np.hypot(motion.wind_error, self.doubt[axis]))),
+            wind_ci95=_around(motion.wind, float(np.hypot(motion.wind_error, doubt.wind))),
             gusts=motion.gusts,
             velocity=motion.velocity,
             ahead=motion.ahead,
-            ahead_ci95=_around(motion.ahead, motion.ahead_error),
+            ahead_ci95=_around(motion.ahead, float(np.hypot(motion.ahead_error, doubt.ahead))),
         )
 
 

@@ -9,6 +9,7 @@ from rotorfit.core.tracked import Regime, Tracked
 from rotorfit.tracking.air import Course
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.wind_error import Doubt
 
 
 @dataclass(frozen=True)
@@ -19,13 +20,13 @@ class Looked:
         state: What is known.
         memory: What `Following.recall` continues from.
         courses: Motion filters, ready to be continued.
-        doubt: Axis name to the standard error of the wind due to the coefficients [m/s^2, rad/s^2].
+        doubt: Axis name to the errors of its motion due to the coefficients.
     """
 
     state: Tracked
     memory: Mapping[str, Any]
     courses: tuple[Course, ...] = ()
-    doubt: Mapping[str, float] = field(default_factory=dict)
+    doubt: Mapping[str, Doubt] = field(default_factory=dict)
 
 
 def looked_at(following: Following, flight: Flight, now: float, standing: bool) -> Looked | None:

@@ -14,6 +14,7 @@ from rotorfit.core.tracked import AxisMotion, Motion
 from rotorfit.dynamics.motion_filter import GUSTS, LATER, LATER_ERROR, VELOCITY, WIND, WIND_ERROR
 from rotorfit.tracking.air import PAIRS, Course
 from rotorfit.tracking.flight_so_far import Rows
+from rotorfit.tracking.wind_error import Doubt
 
 
 @dataclass
@@ -35,16 +36,16 @@ class MotionStream:
     def __init__(self, commands: Rows, poses: Rows) -> None:
         self._commands, self._poses = commands, poses
         self._running: list[_Running] = []
-        self._doubt: Mapping[str, float] = {}
+        self._doubt: Mapping[str, Doubt] = {}
         self._seen = 0
 
-    def begin(self, courses: Sequence[Course], doubt: Mapping[str, float]) -> None:
+    def begin(self, courses: Sequence[Course], doubt: Mapping[str, Doubt]) -> None:
         """Continues from a look.
 
         Args:
             courses: Its filters.
-            doubt: Axis name to the standard error of the wind due to the coefficients [m/s^2, rad/s^2]; an axis
-                without a known wind is missing.
+            doubt: Axis name to the errors of its motion due to the coefficients; an axis without a known wind is
+                missing.
         """
         self._running, self._doubt = [], doubt
         for course in courses:
@@ -89,7 +90,9 @@ class MotionStream:
         )
 
 
-def _axis(now: Sequence[float], doubt: float) -> AxisMotion:
+def _axis(now: Sequence[float], doubt: Doubt) -> AxisMotion:
     wind, later = now[WIND], now[LATER]
-    wide, off = NORMAL * float(np.hypot(now[WIND_ERROR], doubt)), NORMAL * now[LATER_ERROR]
+    wide, off = (
+        NORMAL * float(np.hypot(*errors)) for errors in ((now[WIND_ERROR], doubt.wind), (now[LATER_ERROR], doubt.ahead))
+    )
     return AxisMotion(now[VELOCITY], wind, (wind - wide, wind + wide), now[GUSTS], later, (later - off, later + off))

@@ -1,4 +1,4 @@
-"""The error of the wind that is due to the coefficients.
+"""The errors of the wind and of the velocity a second ahead that are due to the coefficients.
 
 The wind is the part of the acceleration that the commands do not explain:
 
@@ -6,17 +6,21 @@ The wind is the part of the acceleration that the commands do not explain:
 
 An error of the input g, the damping b or the delay tau therefore propagates to w in proportion to u and v, averaged as
 the filter averages them; an error of the trim c in proportion to the share of a constant push that the filter misses.
+The prediction errs by what such a push has done to the velocity and the filter has not seen, and by all that it will
+do until then.
 """
 
 import functools
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world
-from rotorfit.dynamics.disturbance import distinct_steps
+from rotorfit.dynamics.disturbance import distinct_steps, step_tables
 from rotorfit.dynamics.disturbance_state import disturbance_states
+from rotorfit.dynamics.motion_filter import AHEAD
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.estimation.likelihood.extra_parameters import conditional_covariance, estimated_extras
@@ -25,35 +29,61 @@ from rotorfit.estimation.likelihood.parameters import Point
 RATE, BACK = 30.0, 10.0
 """Sampling rate [1/s] and length [s] of the averages over the past."""
 
+AHEAD_SAMPLES = round(AHEAD * RATE)
+"""Number of samples of the prediction."""
 
-def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Mapping[str, float]) -> float:
-    """Standard error of the wind of an axis at the last pose, due to those of the coefficients [m/s^2, rad/s^2].
+CONSTANT = np.array([1.0, 0.0])
+"""Share of the trim in what is told as wind, and in the prediction apart from the push that it is."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Standard errors of the motion of an axis that are due to its coefficients.
+
+    Attributes:
+        wind: Of the wind [m/s^2, rad/s^2].
+        ahead: Of the velocity `AHEAD` later, in the frame of the coefficients [m/s, rad/s].
+    """
+
+    wind: float
+    ahead: float
+
+
+def coefficient_doubt(
+    flight: Flight, axis: str, estimate: Estimate, widened: Mapping[str, float], velocity: tuple[float, float]
+) -> Doubt:
+    """Standard errors of the wind and of the prediction of an axis at the last pose, due to those of the coefficients.
 
     Args:
         flight: The flight so far.
         axis: Name of the axis.
         estimate: Its estimate.
         widened: Coefficient to the factor by which it is less certain than the information implies.
+        velocity: Velocity now and predicted for `AHEAD` later, along the axis of the heading frame [m/s, rad/s].
     """
     optimum, k = estimate.optimum, estimate.place
     told = estimands(optimum, k)
     weights = _response(tuple(optimum.point.levels[k, :4]), told["damping"].value)
-    time = flight.pose_time[-1] - np.arange(weights.size)[::-1] / RATE
+    past, future = weights.shape[1] - AHEAD_SAMPLES, np.arange(1, AHEAD_SAMPLES + 1) / RATE
+    time = flight.pose_time[-1] + np.concatenate([np.arange(1 - past, 1) / RATE, future])
     late = told.get("delay_plus_lag", told.get("delay"))
-    # what data cannot tell of a lag or zero, damping or delay makes up for, and the wind stays
+    # what data cannot tell of a lag or zero, damping or delay makes up for, and the motion stays
     C = conditional_covariance(optimum, k, [extra.name for extra in estimated_extras(optimum, k)])
+    now, later = velocity
+    moving = np.concatenate([_velocity(flight, axis, time[:past]), now + (later - now) * future / AHEAD])
     by = {
         "input": -told["input"].value * weights @ _command(flight, axis, time - (late.value if late else 0.0)),
-        "damping": told["damping"].value * weights @ _velocity(flight, axis, time),
+        "damping": told["damping"].value * weights @ moving,
     }
     if late:
         error = max(late.error(optimum, C), 1e-3)
-        sooner, later = (weights @ _command(flight, axis, time - late.value + off) for off in (error, -error))
+        sooner, after = (weights @ _command(flight, axis, time - late.value + off) for off in (error, -error))
         widened = {**widened, late.name: widened.get("delay", 1.0)}
-        by[late.name] = told["input"].value * (sooner - later) / (2 * error)
-    slope = np.sum([by[name] * widened.get(name, 1.0) * told[name].slope for name in by], axis=0)
-    slope[_trim_at(optimum.point, k)] = (1 - weights.sum()) * max(widened.values(), default=1.0)
-    return float(np.sqrt(max(slope @ C[: slope.size, : slope.size] @ slope, 0.0)))
+        by[late.name] = told["input"].value * (sooner - after) / (2 * error)
+    slopes = np.sum([widened.get(name, 1.0) * np.outer(by[name], told[name].slope) for name in by], axis=0)
+    slopes[:, _trim_at(optimum.point, k)] = (CONSTANT - weights.sum(axis=1)) * max(widened.values(), default=1.0)
+    wind, ahead = np.sqrt(np.maximum(np.diag(slopes @ C[: slopes.shape[1], : slopes.shape[1]] @ slopes.T), 0.0))
+    return Doubt(float(wind), float(ahead))
 
 
 def trim_error(estimate: Estimate) -> float:
@@ -64,7 +94,7 @@ def trim_error(estimate: Estimate) -> float:
     """
     optimum, k = estimate.optimum, estimate.place
     damping = estimands(optimum, k)["damping"].value
-    missed = 1.0 - _response(tuple(optimum.point.levels[k, :4]), damping).sum()
+    missed = 1.0 - _response(tuple(optimum.point.levels[k, :4]), damping)[0].sum()
     at = _trim_at(optimum.point, k)
     return float(abs(missed) * np.sqrt(optimum.covariance[at, at]))
 
@@ -76,21 +106,31 @@ def _trim_at(point: Point, k: int) -> int:
 
 @functools.lru_cache(maxsize=16)
 def _response(levels: tuple[float, ...], damping: float) -> Array:
-    """Weight of the push at each point of the last `BACK` seconds in the filter's wind now, the oldest first.
+    """Weights of a push that the law leaves out in the wind now and in the error of the prediction, the oldest first.
 
-    They come from the filter's response to a constant push that begins after it has settled.
+    They come from the filter's response to a constant push that begins after it has settled: the prediction knows of a
+    past push what the filter has seen of it, and nothing of one in the second ahead.
 
     Args:
         levels: Logarithms of the levels of the disturbance.
         damping: Of the axis [1/s].
+
+    Returns:
+        At each point of the last `BACK` seconds and of the next `AHEAD`, shape (2, B + A).
     """
     powers = np.exp(levels)
     time = np.arange(round(2 * BACK * RATE)) / RATE
     pushed = np.maximum(time - BACK, 0.0)
-    fallen = (pushed + np.expm1(-damping * pushed) / damping) / damping
-    means, _ = disturbance_states(*distinct_steps(time), fallen, np.full(time.size, powers[1]), powers)
-    answer = means[time >= BACK] @ np.array([0.0, damping, 1.0])
-    return np.asarray(np.diff(answer, prepend=0.0)[::-1])
+    gained = -np.expm1(-damping * pushed) / damping
+    fallen, noise = (pushed - gained) / damping, np.full(time.size, powers[1])
+    means, _ = disturbance_states(*distinct_steps(time), fallen, noise, powers)
+    wind = means @ np.array([0.0, damping, 1.0])
+    later = step_tables(np.array([AHEAD]), powers[2], powers[3])[0][0, 1]
+    missed = means @ later - np.exp(-damping * AHEAD) * gained
+    since = time >= BACK
+    past = np.diff([wind[since], missed[since]], prepend=0.0)[:, ::-1]
+    future = np.exp(-damping * (AHEAD - np.arange(1, AHEAD_SAMPLES + 1) / RATE)) / RATE
+    return np.hstack([past, [np.zeros(AHEAD_SAMPLES), -future]])
 
 
 def _command(flight: Flight, axis: str, time: Array) -> Array:
