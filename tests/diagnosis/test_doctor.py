@@ -594,11 +594,20 @@ def test_axes_exchanged(tmp_path: Path) -> None:
 
 
 def test_a_flipped_sign_is_not_taken_for_a_wrong_frame(tmp_path: Path) -> None:
-    for axis in (0, 1):
+    for k, axis in enumerate(("x", "y")):
         log = Csv(flown(TURNING))
-        log.command[:, axis] *= -1
+        log.command[:, k] *= -1
 
-        assert said("info", *log.write(tmp_path)) == {}
+        told = said("info", *log.write(tmp_path))
+        assert set(told) == {("sign_flipped", axis)}
+        assert "scale = -1 (now 1)" in told["sign_flipped", axis]["remedy"]
+
+
+def test_commands_that_only_hold_the_vehicle_in_wind_have_no_sign(tmp_path: Path) -> None:
+    windy, loop = Truth(wind_sigma=(0.3,) * 4), Controller(2.0, 2.5)
+    held = Csv(simulate_flight(windy, steps(("x",), seed=3), 50.0, 3, controller=loop))
+
+    assert not {code for code, _ in said("info", *held.write(tmp_path))} & SIGNS
 
 
 @pytest.mark.parametrize("angle", [-40.0, 90.0, 20.0])
@@ -696,13 +705,16 @@ def test_axes_turned(tmp_path: Path) -> None:
     assert other["remedy"].startswith("are the commands forward, right, down, clockwise?")
 
 
-def test_one_turned_axis_is_left_to_the_fit_which_names_a_mirrored_pose_where_nothing_turns(tmp_path: Path) -> None:
+def test_one_turned_axis_is_told_once_by_the_fit_which_names_a_mirrored_pose_where_nothing_turns(
+    tmp_path: Path,
+) -> None:
     log = Csv(flown(steps(("x", "y"), seed=4)))
     log.pose[:, 1] *= -1
     words = log.write(tmp_path)
 
-    assert "axes_turned" not in {code for code, _ in said("info", *words)}
+    assert {code for code, _ in said("info", *words)} & SIGNS == {"sign_flipped"}
     told = said("fit", *words, "--axes", "x,y", *LAW)["sign_flipped", "y"]
+    assert "the input gain of y is -" in told["evidence"]
     assert "or the pose is mirrored" in told["remedy"]
 
 

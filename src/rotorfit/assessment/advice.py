@@ -191,6 +191,8 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
 
 def _settled(finding: Finding, fit: Fit) -> bool:
     """Whether the fit supersedes this finding of a single flight."""
+    if finding.code == "sign_flipped":
+        return finding.axis is not None and fit.model.axes[finding.axis].predictor is not None
     if finding.code not in ABOUT_EXCITATION or finding.axis is None:
         return finding.code in LEFT_TO_THE_FIT
     axis = fit.model.axes[finding.axis]

@@ -44,6 +44,10 @@ EXPLAINED = 0.3
 """Share of the variance of the velocity that commands must explain: the commands of a loop that only holds position
 follow the motion, and their sign is that of the loop."""
 
+AT_ONCE = 0.8
+"""The same where the motion goes against a command within `QUICKEST`: so it does in a loop that holds the vehicle in
+wind, whose commands explain 0.3 to 0.55 of it; a vehicle takes longer, or its commands explain nearly all."""
+
 CLEARLY = 1.5
 """Least ratio of the significance of one axis to that of any other for a command to belong to it."""
 
@@ -208,8 +212,9 @@ def _answer(fits: list[_Fit], j: int, name: str, shared: float) -> CommandRespon
     told = float(first.effect[j])
     sure = abs(told) > max(SIGNIFICANT, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
     sure = sure and not _is_oblique(fits, order[0], j)
+    answered = told < 0 and first.lag <= QUICKEST and first.explained < AT_ONCE
     borne_out = AXES[order[0]] == name and told > 0
-    axis = AXES[order[0]] if sure and (borne_out or not shared > SHARED) else None
+    axis = AXES[order[0]] if sure and not answered and (borne_out or not shared > SHARED) else None
     shown = first if axis else fits[AXES.index(name)]
     told = float(shown.effect[j])
     return CommandResponse(axis, int(np.sign(told)), abs(told), shown.explained, shown.lag, shared)

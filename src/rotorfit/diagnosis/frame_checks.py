@@ -27,6 +27,7 @@ from rotorfit.core.plain import toml_text
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.command_response import SIGNIFICANT, TURNING, Answers, CommandResponse, answers_of, thinned
 from rotorfit.diagnosis.motion_checks import LAGS, lagged_command
+from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.diagnosis.recording import Recording
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import column
@@ -496,11 +497,26 @@ def overturned(told: Mapping[str, CommandResponse], height: int) -> tuple[str, .
 
 
 def sign_findings(recording: Recording) -> Iterator[Finding]:
-    """Findings on signs that are reversed together."""
+    """Findings on signs that are reversed, together where half a turn explains them."""
     card = recording.card
     told, height = recording.answers.of, height_sign(recording.flight)
-    turned = overturned(told, height)
-    if not turned or card.command_frame != "heading":
+    turned = overturned(told, height) if card.command_frame == "heading" else ()
+    backwards = [name for name, answer in told.items() if answer.axis == name and answer.sign < 0]
+    held = restored_axes([recording.flight], backwards)
+    for name in backwards:
+        channel = card.command.get(name)
+        if channel is None or name in (*turned, *held):
+            continue
+        yield Finding(
+            "sign_flipped",
+            "warning",
+            f"the command of {name} moves the vehicle the other way ({told[name].certainty:.0f} standard errors)",
+            f"the input gain of {name} comes out negative; delay and damping keep their values",
+            f"give the {name} channel of [command] in the card scale = {-channel.scale:g} (now {channel.scale:g}); a "
+            "pose that is mirrored does the same",
+            name,
+        )
+    if not turned:
         return
     names = " and ".join(filter(None, (", ".join(turned[:-1]), turned[-1])))
     sure = ", ".join(f"{told[name].certainty:.0f}" for name in turned)
