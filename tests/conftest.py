@@ -1,6 +1,8 @@
 """What the tests share."""
 
+import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,9 +22,21 @@ def real_flights() -> Path:
     return REAL_FLIGHTS
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Collects the tests without a search for garbage: all that is made stays, and to search it took a third of it."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compiles once what nearly all tests need, before the processes that share them out each do it for themselves."""
     if session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput"):
-        from rotorfit.app.first_use import TRACKING, compile_beforehand
+        from rotorfit.app import first_use
 
-        compile_beforehand(TRACKING)
+        first_use.PATIENCE = 900.0  # what a busy machine left to them, they would compile one by one
+        first_use.compile_beforehand(first_use.TRACKING)
