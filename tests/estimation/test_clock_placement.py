@@ -66,7 +66,7 @@ def moved(late: float = 0.0) -> Flight:
 
 def rmse(flight: Flight) -> list[float]:
     """Errors of the velocity of each axis 1 s ahead, by the model of the first day."""
-    axes = validate(alone().model, [flight]).flights[0].axes
+    axes = validate(alone().model, [flight], (1.0,)).flights[0].axes
     return [axes[axis].horizons["1"].velocity_rmse or np.nan for axis in AXES]
 
 
@@ -99,17 +99,17 @@ def test_a_flight_is_placed_by_a_model_which_it_does_not_deny_then() -> None:
     p = [each.command_p for each in residual_tests_of_flight(alone().model, moved(WRONG)).values()]
     assert len(p) == 4
     assert min(x for x in p if x is not None) > 0.001
-    result = validate(alone().model, [moved(WRONG)])
+    result = validate(alone().model, [moved(WRONG)], (1.0,))
     assert not [one for one in result.findings if one.severity == "warning"]
 
 
 def test_validation_tells_that_such_a_flight_does_not_test_the_delay() -> None:
-    found = validate(alone().model, [moved()]).findings
+    found = validate(alone().model, [moved()], (1.0,)).findings
     (told,) = (one for one in found if one.code == "delay_not_tested")
     assert told.severity == "info"
     assert "relate the clocks of c1.csv+m1.csv" in told.evidence
     assert ": the commands were moved by a further " in told.evidence
-    assert "delay_not_tested" not in {one.code for one in validate(exact(), [read(1, "one")]).findings}
+    assert "delay_not_tested" not in {one.code for one in validate(exact(), [read(1, "one")], (1.0,)).findings}
 
 
 def test_errors_of_the_placement_do_not_count_as_errors_of_the_model() -> None:
