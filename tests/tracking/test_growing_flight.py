@@ -32,9 +32,16 @@ def grown(samples: Sequence[Sample]) -> tuple[Flight, list[Alarm]]:
 
 
 @cache
-def usual() -> tuple[Flight, list[Alarm]]:
+def begun(seconds: float) -> tuple[Sample, ...]:
+    """The first seconds of the flight that is shared: what happens in them needs no landing."""
+    first = flown()[0].received
+    return tuple(one for one in flown() if one.received - first < seconds * SECOND)
+
+
+@cache
+def usual(seconds: float = 99.0) -> tuple[Flight, list[Alarm]]:
     """The flight that is shared, without a fault."""
-    return grown(flown())
+    return grown(begun(seconds))
 
 
 def counts(flight: Flight) -> dict[str, int]:
@@ -65,7 +72,7 @@ def test_faults_of_the_stream_are_no_alarm_and_leave_a_sound_flight(seed: int) -
 
 
 def test_a_frozen_pose_is_one_alarm_at_once_however_long_it_lasts() -> None:
-    _, alarms = grown(frozen(flown(), 20.0, 6.0))
+    _, alarms = grown(frozen(begun(28.0), 20.0, 6.0))
 
     assert [alarm.cause for alarm in alarms] == ["pose_frozen"]
     assert 20.4 < alarms[0].time < 20.8
@@ -88,7 +95,7 @@ def test_a_pose_that_repeats_itself_on_the_ground_is_no_alarm() -> None:
 
 
 def test_a_pose_that_jumps_is_an_alarm_at_once_and_cuts_the_flight() -> None:
-    flight, alarms = grown(jumped(flown(), 20.0, (1.0, 0.0, 0.0)))
+    flight, alarms = grown(jumped(begun(24.0), 20.0, (1.0, 0.0, 0.0)))
 
     assert [alarm.cause for alarm in alarms] == ["pose_jumped"]
     assert 20.0 <= alarms[0].time < 20.1
@@ -99,14 +106,14 @@ def test_a_pose_that_jumps_is_an_alarm_at_once_and_cuts_the_flight() -> None:
 
 @pytest.mark.parametrize("degrees", [10.0, 15.0, -20.0])
 def test_a_heading_that_is_reset_is_an_alarm_and_no_motion(degrees: float) -> None:
-    _, alarms = grown(reset(flown(), 20.0, np.radians(degrees)))
+    _, alarms = grown(reset(begun(24.0), 20.0, np.radians(degrees)))
 
     assert [alarm.cause for alarm in alarms] == ["pose_jumped"]
     assert 20.0 <= alarms[0].time < 20.1
 
 
 def test_a_single_wild_pose_is_left_out() -> None:
-    samples = list(flown())
+    samples = list(begun(20.0))
     at = next(i for i, one in enumerate(samples) if one.stream == "pose" and i > 4000)
     samples[at] = replace(samples[at], values=(9.0, 9.0, 9.0, *samples[at].values[3:]))
     flight, alarms = grown(samples)
@@ -118,7 +125,7 @@ def test_a_single_wild_pose_is_left_out() -> None:
 
 @pytest.mark.parametrize("degrees", [4.0, 8.0, 12.0, 40.0])
 def test_a_single_wild_heading_is_no_jump_be_it_seen_or_not(degrees: float) -> None:
-    samples = list(flown())
+    samples = list(begun(22.0))
     poses = [i for i, one in enumerate(samples) if one.stream == "pose"]
     for at in poses[1000:4000:150]:
         (samples[at],) = reset(samples[at : at + 1], 0.0, np.radians(degrees))
@@ -129,7 +136,7 @@ def test_a_single_wild_heading_is_no_jump_be_it_seen_or_not(degrees: float) -> N
 
 
 def test_what_a_stalled_link_delivers_at_once_is_late_and_no_other_clock() -> None:
-    samples, begin, end = flown(), 30 * SECOND, int(32.5 * SECOND)
+    samples, begin, end = begun(28.0), 20 * SECOND, int(22.5 * SECOND)
     first = samples[0].received
     held = [
         replace(one, received=first + end) if begin < one.received - first < end and one.stream == "pose" else one
@@ -137,10 +144,11 @@ def test_what_a_stalled_link_delivers_at_once_is_late_and_no_other_clock() -> No
     ]
     flight, alarms = grown(sorted(held, key=lambda one: one.received))
 
-    whole, _ = usual()
+    whole, _ = usual(28.0)
     assert not alarms
-    later = flight.pose_time > 33.0
-    np.testing.assert_array_equal(flight.pose_time[later], whole.pose_time[whole.pose_time > 33.0])
+    later = flight.pose_time > 23.0
+    np.testing.assert_array_equal(flight.pose_time[later], whole.pose_time[whole.pose_time > 23.0])
+    assert later.sum() > 500
     assert 0 < counts(flight)["strange_stamps"] < 200
 
 
@@ -159,9 +167,9 @@ def test_without_arrivals_a_stamp_far_ahead_costs_one_sample(stream: str, at: in
 
 
 def test_without_arrivals_a_pause_of_the_link_costs_nothing() -> None:
-    plain = [replace(one, received=0, stamp=one.stamp + 10 * SECOND * (i >= 4000)) for i, one in enumerate(flown())]
+    plain = [replace(one, received=0, stamp=one.stamp + 10 * SECOND * (i >= 4000)) for i, one in enumerate(begun(24.0))]
     flight, alarms = grown(plain)
-    whole, _ = usual()
+    whole, _ = usual(24.0)
 
     assert not alarms
     assert flight.pose_time.size == whole.pose_time.size
@@ -169,7 +177,7 @@ def test_without_arrivals_a_pause_of_the_link_costs_nothing() -> None:
 
 
 def test_without_arrivals_a_command_in_a_pause_of_the_poses_acts() -> None:
-    plain = [replace(one, received=0) for one in flown()]
+    plain = [replace(one, received=0) for one in begun(24.0)]
     begin, end = plain[4000].stamp, plain[4000].stamp + 10 * SECOND
     (last,) = [one for one in plain if one.stream == "command" and one.stamp < begin][-1:]
     paused = [one for one in plain if one.stamp < begin]
@@ -193,9 +201,9 @@ def test_a_state_file_keeps_positions_to_the_last_digit() -> None:
 
 
 def test_commands_of_another_clock_are_timed_by_their_arrival() -> None:
-    there = [replace(one, stamp=one.stamp + 10**15) if one.stream == "command" else one for one in flown()]
+    there = [replace(one, stamp=one.stamp + 10**15) if one.stream == "command" else one for one in begun(24.0)]
     flight, alarms = grown(there)
-    plain, _ = usual()
+    plain, _ = usual(24.0)
 
     assert not alarms
     heard = plain.command_time[-flight.command_time.size :]  # without those until the clock is seen to be another one
@@ -213,19 +221,19 @@ def test_that_another_clock_is_not_used_is_told_once() -> None:
 
 
 def test_a_step_of_the_poses_clock_is_removed_and_told_also_over_a_restart() -> None:
-    at = flown()[0].stamp + 20 * SECOND
+    at = flown()[0].stamp + 14 * SECOND
     back = [
         replace(one, stamp=one.stamp - 60_000_000) if one.stream == "pose" and one.stamp > at else one
-        for one in flown()
+        for one in begun(24.0)
     ]
     growing, again = GrowingFlight(CARD), GrowingFlight(CARD)
-    for one in back[:6000]:
+    for one in back[:5000]:
         growing.add(one)
     (told,) = growing.remarks()
     again.recall(growing.memory())
-    for one in back[6000:]:
+    for one in back[5000:]:
         again.add(one)
-    flight, (whole, _) = again.flight(), usual()
+    flight, (whole, _) = again.flight(), usual(24.0)
 
     assert "the clock of the poses was set back by 60 ms" in told
     assert not growing.remarks()
@@ -239,7 +247,7 @@ def test_a_step_of_the_poses_clock_is_removed_and_told_also_over_a_restart() -> 
 def test_commands_that_were_not_heard_are_not_guessed() -> None:
     """The card says that a command holds for half a second; who sends 50 a second has not held one for 0.3 s."""
     begin = flown()[0].received
-    heard = [one for one in flown() if one.stream != "command" or not 20.0 < (one.received - begin) / SECOND < 20.3]
+    heard = [one for one in begun(24.0) if one.stream != "command" or not 20.0 < (one.received - begin) / SECOND < 20.3]
     flight, alarms = grown(heard)
 
     assert not alarms
@@ -292,7 +300,7 @@ def test_yaw_goes_on_over_the_turn() -> None:
 
 
 def test_what_the_vehicle_says_of_itself_closes_the_flight() -> None:
-    samples = [*flown()[:6000], Sample("obeys", 0, 0, (0.0,)), *flown()[6000:]]
+    samples = [*flown()[:6000], Sample("obeys", 0, 0, (0.0,)), *flown()[6000:7000]]
     flight, _ = grown(samples)
     end = (flown()[6000].stamp - flown()[0].stamp) / 1e9
 
@@ -300,7 +308,7 @@ def test_what_the_vehicle_says_of_itself_closes_the_flight() -> None:
 
 
 def test_nothing_is_learnt_while_the_window_is_closed_from_the_start_or_in_flight() -> None:
-    samples, shut, open_ = flown(), Sample("obeys", 0, 0, (0.0,)), Sample("obeys", 0, 0, (1.0,))
+    samples, shut, open_ = flown()[:8000], Sample("obeys", 0, 0, (0.0,)), Sample("obeys", 0, 0, (1.0,))
     flight, _ = grown(
         [shut, *samples[:2000], open_, *samples[2000:6000], shut, *samples[6000:7000], open_, *samples[7000:]]
     )
@@ -327,7 +335,8 @@ def test_second_0_is_the_first_command_however_long_the_vehicle_was_seen_before(
 
 
 def test_it_goes_on_from_its_memory() -> None:
-    samples, at = flown(), len(flown()) // 2
+    samples = begun(32.0)
+    at = len(samples) // 2
     first = GrowingFlight(CARD)
     for one in samples[:at]:
         first.add(one)
