@@ -28,14 +28,14 @@ LIMIT = 3e-4
 
 @cache
 def still() -> Flight:
-    """30 s without wind and noise, turning all the while, held commands."""
-    return flown(STILL, steps(), 30.0)
+    """15 s without wind and noise, turning all the while, held commands."""
+    return flown(STILL, steps(), 15.0)
 
 
 @cache
 def continuous() -> Flight:
     """The same vehicle under the paper's sines, which change all the time; the log has their value at every pose."""
-    return recorded(simulate_flight(STILL, two_sines, 30.0, 1, held=False))
+    return recorded(simulate_flight(STILL, two_sines, 15.0, 1, held=False))
 
 
 def values(rung: MethodResult, axis: str) -> dict[str, float]:
@@ -80,7 +80,7 @@ def test_commands_that_change_all_the_time_are_taken_as_held_which_shortens_the_
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_a_trim_does_not_bias(method: str) -> None:
     truth = replace(STILL, trim=(0.1, -0.1, 0.2, 0.0))
-    rung = estimator_of(method)([flown(truth, steps(("z",)), 30.0)], ("z",))
+    rung = estimator_of(method)([flown(truth, steps(("z",)), 15.0)], ("z",))
 
     assert values(rung, "z")["damping"] == pytest.approx(truth_of(truth, "z")["damping"], rel=LIMIT)
     assert rung.trim[0, 0] == pytest.approx(0.2, rel=1e-3)
@@ -112,15 +112,15 @@ def test_scaling_the_commands_scales_the_gain_and_shifting_a_clock_shifts_the_de
 
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_several_flights_segments_holes_and_slow_jittered_poses_are_no_obstacle(method: str) -> None:
-    flight = flown(STILL, steps(("z",)), 30.0, seed=3)
+    flight = flown(STILL, steps(("z",)), 20.0, seed=3)
     rng = np.random.default_rng(3)
-    keep = (rng.random(flight.pose_time.size) < 0.4) & ~((flight.pose_time > 10) & (flight.pose_time < 10.7))
+    keep = (rng.random(flight.pose_time.size) < 0.4) & ~((flight.pose_time > 6) & (flight.pose_time < 6.7))
     ragged = replace(
         flight,
         pose_time=flight.pose_time[keep],
         position=flight.position[keep],
         yaw=flight.yaw[keep],
-        segments=(Segment(0.0, 18.0), Segment(float(flight.command_time[950]), flight.segments[-1].end)),
+        segments=(Segment(0.0, 12.0), Segment(float(flight.command_time[650]), flight.segments[-1].end)),
     )
     rung = estimator_of(method)([ragged, only(still(), "z")], ("z",))
 
@@ -133,7 +133,7 @@ def test_several_flights_segments_holes_and_slow_jittered_poses_are_no_obstacle(
 
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_an_axis_that_nobody_commands_is_no_obstacle_to_the_other_and_has_no_number(method: str) -> None:
-    rung = estimator_of(method)([flown(STILL, steps(("x", "yaw")), 30.0)], ("x", "y"))
+    rung = estimator_of(method)([flown(STILL, steps(("x", "yaw")), 15.0)], ("x", "y"))
 
     assert values(rung, "x")["input"] == pytest.approx(truth_of(STILL, "x")["input"], rel=LIMIT)
     assert rung.failed["y"][0] == "not_excited"
@@ -155,7 +155,7 @@ def test_a_short_flight_is_told_from_one_that_is_not_excited(method: str) -> Non
 
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_a_command_that_never_changes_gives_no_delay(method: str) -> None:
-    constant = flown(Truth(), lambda t: np.full((t.size, 4), 0.1), 20.0)
+    constant = flown(Truth(), lambda t: np.full((t.size, 4), 0.1), 12.0)
     axis, reason = axis_of_rung(estimator_of(method)([constant], ("z",)), "z")
 
     assert axis.delay is None
