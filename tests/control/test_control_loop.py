@@ -42,7 +42,7 @@ def test_the_loop_of_the_document_commands_as_the_library_does(
 ) -> None:
     """On a lemniscate with swinging heading, across the wrap, in wind, with late poses, and where commands are cut."""
     model = model_of({axis: VEHICLE[axis] for axis in axes})
-    tuning = tune(model, kind)
+    tuning = tune(model, kind, draws=20)
     save_gains(tuning, model, tmp_path / "gains.toml")
     gains = tomllib.loads((tmp_path / "gains.toml").read_text(encoding="utf-8"))
     vehicle = load_vehicle("bebop2")
@@ -73,7 +73,7 @@ def test_the_loop_of_the_document_commands_as_the_library_does(
 
 def test_the_loop_of_the_document_turns_commands_for_a_vehicle_that_takes_them_along_the_world(tmp_path: Path) -> None:
     model = model_of()
-    tuning = tune(model)
+    tuning = tune(model, draws=20)
     world = replace(model, card=replace(model.card, command_frame="world"))
     loops = []
     for name, known in (("own", model), ("world", world)):
@@ -91,7 +91,7 @@ def test_the_loop_of_the_document_turns_commands_for_a_vehicle_that_takes_them_a
 def test_a_gains_file_says_what_a_command_is_and_nothing_that_its_law_does_not_use(tmp_path: Path) -> None:
     model = model_of()
     for kind, own, other in (("predictor", "observer", "filter_time"), ("linearising", "filter_time", "observer")):
-        save_gains(tune(model, kind, axes=("x",)), model, tmp_path / f"{kind}.toml")  # type: ignore[arg-type]
+        save_gains(tune(model, kind, axes=("x",), draws=20), model, tmp_path / f"{kind}.toml")  # type: ignore[arg-type]
         gains = tomllib.loads((tmp_path / f"{kind}.toml").read_text(encoding="utf-8"))
         axis = gains["axes"]["x"]
         assert (own in axis, other in axis) == (True, False)

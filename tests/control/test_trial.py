@@ -25,7 +25,7 @@ WINDY = Conditions(wind=Wind((1.0, 1.0, 0.0), Gusts((0.3, 0.3, 0.15))))
 
 
 def test_a_tuned_controller_follows_a_circle_in_wind() -> None:
-    controller = controller_of(tune(model_of(TRUTH)), BEBOP)  # type: ignore[arg-type]
+    controller = controller_of(tune(model_of(TRUTH), draws=40), BEBOP)  # type: ignore[arg-type]
 
     trial = try_path(controller, BEBOP, WINDY, ReferencePath("circle", 1.0, 1.0, 20.0), SPACE, 1)
     error = tracking_error(trial)
@@ -42,7 +42,7 @@ def test_gains_for_a_vehicle_without_delay_oscillate_on_one_that_has() -> None:
     hasty = {axis: (g, b, 0.0) for axis, (g, b, _) in TRUTH.items()}
     model = model_of(hasty)
     certain = replace(model, covariance=1e-8 * model.covariance)
-    controller = controller_of(tune(certain, "linearising"), BEBOP)
+    controller = controller_of(tune(certain, "linearising", draws=20), BEBOP)
 
     trial = try_path(controller, BEBOP, Conditions(), ReferencePath("circle", 1.0, 1.0, 20.0), SPACE, 1)
 
@@ -50,7 +50,7 @@ def test_gains_for_a_vehicle_without_delay_oscillate_on_one_that_has() -> None:
 
 
 def test_leaving_the_fence_ends_a_flight() -> None:
-    controller = controller_of(tune(model_of(TRUTH)), BEBOP)  # type: ignore[arg-type]
+    controller = controller_of(tune(model_of(TRUTH), draws=40), BEBOP)  # type: ignore[arg-type]
     wide = ReferencePath("circle", 4.0, 1.0, 20.0, centre=(-4.0, 0.0, 1.5, 0.0))
 
     trial = try_path(controller, BEBOP, Conditions(), wide, SPACE, 1)
@@ -82,7 +82,7 @@ def test_overshoot_and_settling_are_those_of_the_steps() -> None:
 
 def test_gains_are_tried_on_the_vehicle_that_they_are_for() -> None:
     model = model_of(TRUTH, card=card_from_mapping(BEBOP.card(), "bebop2"))  # type: ignore[arg-type]
-    scores = try_tuning(tune(model), model, "bebop2,wind=1", seeds=1)
+    scores = try_tuning(tune(model, draws=40), model, "bebop2,wind=1", seeds=1)
 
     assert [one.path.shape for one in scores] == ["circle", "lemniscate", "steps"]
     assert [one.failed for one in scores] == [0, 0, 0]

@@ -19,16 +19,23 @@ from rotorfit.planning.axis_information import AxisBelief
 
 pytestmark = pytest.mark.flights
 
+DRAWN = 60
+"""Vehicles that are drawn where a comparison of gains needs no more."""
+
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_better_a_vehicle_is_known_the_faster_are_its_gains(kind: Kind) -> None:
-    speed = [tune(model_of(error=error), kind, axes=("x",)).axes["x"].bandwidth for error in (0.01, 0.1, 0.2)]
+    speed = [
+        tune(model_of(error=error), kind, axes=("x",), draws=DRAWN).axes["x"].bandwidth for error in (0.01, 0.1, 0.2)
+    ]
 
     assert speed[0] > speed[1] > speed[2] > 0.3 * speed[0]
 
 
 def test_a_delay_that_is_not_known_costs_speed_and_is_said() -> None:
-    known, unknown = (tune(model, axes=("x",)).axes["x"] for model in (model_of(), without_delays(model_of())))
+    known, unknown = (
+        tune(model, axes=("x",), draws=DRAWN).axes["x"] for model in (model_of(), without_delays(model_of()))
+    )
 
     assert unknown.bandwidth < 0.7 * known.bandwidth
     assert "delay is not known" in unknown.note
@@ -45,7 +52,9 @@ def test_gains_of_another_law_tell_where_it_contradicts_what_the_model_knows() -
         "total_lag": Combination(0.5, (0.4, None)),
     })  # fmt: skip
 
-    alike, apart = (tune(replace(model, axes={**model.axes, "x": one}), axes=("x",)).axes["x"] for one in (own, other))
+    alike, apart = (
+        tune(replace(model, axes={**model.axes, "x": one}), axes=("x",), draws=DRAWN).axes["x"] for one in (own, other)
+    )
 
     assert apart.law == alike.law
     assert "steady gain" not in alike.note
@@ -69,13 +78,13 @@ def test_gains_of_a_vehicle_with_quadratic_drag_keep_their_promise_from_hover_to
 
 
 def test_gains_are_for_as_many_commands_as_the_flights_had_poses() -> None:
-    slow, usual = (tune(with_poses(model_of(), (hz, AXES)), axes=("x",)) for hz in (9.97, 46.0))
+    slow, usual = (tune(with_poses(model_of(), (hz, AXES)), axes=("x",), draws=20) for hz in (9.97, 46.0))
 
     assert (slow.rate, usual.rate) == (10.0, 50.0)
     assert slow.axes["x"].law.period == 0.1
     assert slow.note.startswith("the model's flights had 10 fresh poses a second")
     assert "if yours gets more poses, tune with its --rate" in slow.note
-    assert usual.note == tune(model_of(), axes=("x",)).note == ""
+    assert usual.note == tune(model_of(), axes=("x",), draws=20).note == ""
 
 
 def test_more_commands_than_poses_are_tuned_for_as_asked_and_told_of() -> None:
@@ -102,7 +111,7 @@ def test_margins_hold_for_vehicles_that_were_not_drawn(kind: Kind) -> None:
 
 def test_the_next_bandwidth_would_break_the_promise() -> None:
     model = model_of(error=0.05)
-    strict, loose = (tune(model, axes=("x",), peak=peak).axes["x"] for peak in (1.4, 2.0))
+    strict, loose = (tune(model, axes=("x",), peak=peak, draws=DRAWN).axes["x"] for peak in (1.4, 2.0))
 
     assert strict.bandwidth < loose.bandwidth
     assert 1.3 < strict.robustness.peak <= 1.4
@@ -134,7 +143,7 @@ def test_noisy_poses_get_a_slower_filter() -> None:
         for model, sigma in ((model_of(), 0.0005), (model_of(), 0.01))
     )
 
-    first, second = (tune(model, axes=("x",)).axes["x"] for model in (quiet, noisy))
+    first, second = (tune(model, axes=("x",), draws=DRAWN).axes["x"] for model in (quiet, noisy))
 
     assert first.noise is not None
     assert second.noise is not None
@@ -173,7 +182,7 @@ def test_what_cannot_be_asked_is_refused(asked: dict[str, object]) -> None:
 
 def test_a_delay_below_zero_is_tuned_as_none_and_said() -> None:
     g, b, _ = VEHICLE["x"]
-    found = tune(model_of({"x": (g, b, -0.08)}), axes=("x",)).axes["x"]
+    found = tune(model_of({"x": (g, b, -0.08)}), axes=("x",), draws=20).axes["x"]
 
     assert found.law.delay == 0
     assert "-0.08 s" in found.note

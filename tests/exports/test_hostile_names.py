@@ -140,7 +140,7 @@ def test_gains_of_a_hostile_model_are_read_as_they_were_written(text: str, suffi
     import rotorfit as rf
 
     model, path = hostile(text), tmp_path / f"gains{suffix}"
-    tuning = rf.tune(model_of(), axes=("z",))
+    tuning = rf.tune(model_of(), axes=("z",), draws=20)
     save_gains(tuning, model, path)
 
     written = path.read_text(encoding="utf-8")

@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     model = model_of({"x": VEHICLE["x"]})
     save(model, path / NAMES["model"])
     save_plan(plan_of(), path / NAMES["plan"])
-    save_gains(tune(model), model, path / NAMES["gains"])
+    save_gains(tune(model, draws=20), model, path / NAMES["gains"])
     (path / NAMES["card"]).write_text(builtin_card_text("bebop2"))
     (path / NAMES["vehicle"]).write_text(vehicle_text("bebop2"))
     export(model, "c", path / NAMES["export"])
@@ -65,7 +65,7 @@ def test_every_kind_is_known_by_its_content(kind: str, folder: Path) -> None:
 
 def test_gains_in_yaml_are_gains(folder: Path) -> None:
     model = model_of({"x": VEHICLE["x"]})
-    save_gains(tune(model), model, folder / "gains.yaml")
+    save_gains(tune(model, draws=20), model, folder / "gains.yaml")
 
     assert kind_of(folder / "gains.yaml") == "gains"
 

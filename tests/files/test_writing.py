@@ -60,8 +60,8 @@ def test_rights_and_links_stay(tmp_path: Path) -> None:
 
 WRITERS: dict[str, Callable[[Path], object]] = {
     "model": lambda path: save(only_z(), path),
-    "gains.toml": lambda path: save_gains(rf.tune(model_of(), axes=("z",)), model_of(), path),
-    "gains.yaml": lambda path: save_gains(rf.tune(model_of(), axes=("z",)), model_of(), path),
+    "gains.toml": lambda path: save_gains(rf.tune(model_of(), axes=("z",), draws=20), model_of(), path),
+    "gains.yaml": lambda path: save_gains(rf.tune(model_of(), axes=("z",), draws=20), model_of(), path),
     "export.h": lambda path: export(model_of(), "c", path),
 }
 
