@@ -30,6 +30,7 @@ def pytest_collection() -> Iterator[None]:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(10_000, 10, 10)  # tests make much that is gone at once
         gc.enable()
 
 
