@@ -164,3 +164,11 @@ def test_axes_of_which_the_same_is_known_share_a_sentence() -> None:
 
     assert found.count("Known of") == 1
     assert "Known of y and z: input gain and damping; delay is refuted: the flights deny the law." in found
+
+
+def test_a_wrong_frame_of_the_plane_is_the_reason_and_spoils_nothing_else() -> None:
+    exchanged = replace(finding("error", None), code="axes_exchanged")
+
+    found = summary_of_model(model({"z": axis(), "yaw": axis()}, [exchanged]))
+    assert "No numbers: the card reads x and y in a wrong frame." in found
+    assert "Do not use x and y before you have read the findings." in found

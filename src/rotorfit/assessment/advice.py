@@ -14,7 +14,7 @@ from rotorfit.assessment.frequency.loop import seem_to_answer
 from rotorfit.assessment.law_findings import disagreement_findings, law_findings
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings
-from rotorfit.core.finding import OTHER_STAMPS, Finding, by_gravity
+from rotorfit.core.finding import OTHER_STAMPS, WRONG_FRAME, Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes, with_frozen
@@ -102,9 +102,6 @@ NEEDED_SHARE = 0.05
 """Share of the command's power that must lie where delay and damping take effect; with less, noise makes them hard to
 separate. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20 % above 0.8 Hz."""
 
-WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "quaternion_order", "yaw_offset")
-"""Findings of a flight that make the sign of the gain of x or y meaningless."""
-
 OVERTURNED = "axes_turned"
 """Finding of a flight that makes the signs of `OVER` meaningless."""
 
@@ -159,7 +156,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
-        found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
+        found += () if name in wrong else _status_findings(name, axis, flights, fit.remarks.get(name, ""))
         found += _event_findings(name, axis, flights)
         changed = list(changed_coefficients(fit, name)) if name not in wrong else []
         if axis.predictor and name not in wrong:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from rotorfit.core.display import interval_text, number_text
-from rotorfit.core.finding import Finding, told_together
+from rotorfit.core.finding import WRONG_FRAME, WRONG_PLANE, Finding, told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import given_by_law
 from rotorfit.core.model import COEFFICIENTS, FROZEN, Axis, Combination, Model
@@ -16,11 +16,14 @@ _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
 _TIMES = ("total_lag", "delay_plus_lag")
 """Combinations that may be near zero: the ratio of the ends of their intervals says nothing."""
 
+_MISREAD = "misread"
+
 _REASONS = {
     "not_excited": "no flight excites {}",
     "too_short": "the flights are too short for {}, or command it only once",
     "diverged": "the estimation of {} did not converge",
     FROZEN: "the pose stands still while {} is commanded",
+    _MISREAD: "the card reads {} in a wrong frame",
 }
 
 BELIEVED = ", with the card's prior"
@@ -51,8 +54,11 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool =
         said.format(listed([a for a in partly if known[a] == said])) for said in dict.fromkeys(known.values())
     ]
     unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
+    if any(finding.code in WRONG_FRAME for finding in model.findings):
+        unknown |= {axis: _MISREAD for axis in ("x", "y") if unknown.get(axis) == "not_excited"}
     groups = {why: [axis for axis, status in unknown.items() if status == why] for why in _REASONS}
-    if reasons := [_REASONS[why].format(listed(group, "or")) for why, group in groups.items() if group]:
+    told = {why: listed(group, "and" if why == _MISREAD else "or") for why, group in groups.items() if group}
+    if reasons := [_REASONS[why].format(names) for why, names in told.items()]:
         sentences.append(f"No numbers: {'; '.join(reasons)}.")
     if set(unknown.values()) == {"not_excited"} and len(unknown) == len(wanted):
         sentences.append("Fly one that does: `rotorfit plan` designs it.")
@@ -64,7 +70,8 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool =
 
 def spoiled(findings: Sequence[Finding], axes: Mapping[str, Axis]) -> list[str]:
     """Those of some axes that a finding forbids to use."""
-    errors = {finding.axis for finding in findings if finding.severity == "error"}
+    wrong = [finding for finding in findings if finding.severity == "error"]
+    errors = {axis for one in wrong for axis in (("x", "y") if one.code in WRONG_PLANE else (one.axis,))}
     return [name for name, axis in axes.items() if name in errors or (None in errors and axis.predictor)]
 
 

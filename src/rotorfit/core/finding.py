@@ -13,6 +13,12 @@ Severity = Literal["info", "warning", "error"]
 DAMAGED = "log_damaged"
 """The finding that is shown before all others: it concerns missing data."""
 
+WRONG_PLANE = ("axes_exchanged", "command_frame", "yaw_offset")
+"""Findings that commands or pose of x and y are read in a wrong frame; z and yaw are right."""
+
+WRONG_FRAME = (*WRONG_PLANE, "mirrored_pose", "quaternion_order")
+"""Findings that a frame is wrong: what x and y seem to do follows from that."""
+
 OTHER_STAMPS = ("commands_by_row", "repeated_commands", "commands_interpolated")
 """Findings of commands that do not bear their own stamps: what delays owe to them no flight of this logger tells."""
 
