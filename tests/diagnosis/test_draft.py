@@ -163,13 +163,22 @@ def test_a_draft_marks_an_axis_that_only_another_sensor_has(tmp_path: Path) -> N
     assert 'z = "z"  # EDIT: named unlike the others, and perhaps of another sensor' in text
 
 
-@pytest.mark.parametrize("names", [("pos_e", "pos_n", "pos_u"), ("pe", "pn", "pu"), ("east", "north", "up")])
+@pytest.mark.parametrize(
+    "names", [("pos_e", "pos_n", "pos_u"), ("pe", "pn", "pu"), ("east", "north", "up"), ("east", "north", "alt")]
+)
 def test_a_draft_knows_east_north_up(names: tuple, tmp_path: Path) -> None:
     text = draft_card(csv_log(**dict(zip("xyz", names, strict=True))))
 
     card = loaded(text, tmp_path)
     assert [card.pose[axis].source for axis in "xyz"] == list(names)
     assert card.frame == "ENU"
+
+
+def test_a_draft_knows_throttle_and_rudder_beside_sticks(tmp_path: Path) -> None:
+    names = {"cmd_x": "stick_fwd", "cmd_y": "stick_left", "cmd_z": "throttle", "cmd_yaw": "rudder"}
+
+    card = loaded(draft_card(csv_log(**names)), tmp_path)
+    assert [card.command[axis].source for axis in ("x", "y", "z", "yaw")] == list(names.values())
 
 
 @pytest.mark.parametrize("names", [("pos_n", "pos_e", "pos_d"), ("pn", "pe", "pd"), ("north", "east", "down")])

@@ -25,7 +25,7 @@ _PLACES: tuple[Mapping[str, str], ...] = (
         for axis in "xyz"
     },
     {axis: f"{_WHERE}(?:position|pos|p)_({i})" for i, axis in enumerate("xyz")},
-    {"x": f"{_AT}(e)|{_WHERE}(east)", "y": f"{_AT}(n)|{_WHERE}(north)", "z": f"{_AT}(u)|{_WHERE}(up)"},
+    {"x": f"{_AT}(e)|{_WHERE}(east)", "y": f"{_AT}(n)|{_WHERE}(north)", "z": f"{_AT}(u)|{_WHERE}(up|alt|altitude)"},
     {"x": f"{_AT}(n)|{_WHERE}(north)", "y": f"{_AT}(e)|{_WHERE}(east)", "z": f"{_AT}(d)|{_WHERE}(down)"},
 )
 
@@ -38,7 +38,7 @@ _HEADINGS: tuple[Mapping[str, str], ...] = (
     },
     {f"q{part}": f"{_WHERE}{_QUATERNION}({i})" for i, part in enumerate("wxyz")},
     {f"q{part}": f"{_WHERE}{_QUATERNION}({i})" for i, part in enumerate("wxyz", 1)},
-    *({"yaw": f"{_WHERE}({word})|({word})_?(?:pos|opt|mocap|est)"} for word in ("yaw", "psi", "heading")),
+    *({"yaw": f"{_WHERE}({word})|({word})_?(?:pos|opt|mocap|est)"} for word in ("yaw", "psi", "heading", "hdg")),
 )
 
 

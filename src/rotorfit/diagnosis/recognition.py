@@ -370,7 +370,8 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
         families.append(_named(table, twist))
     if not any({"x", "y"} <= family.keys() for family in families):
         families.append(_of_parrot(table))
-    return max(families, key=len)
+    found = max(families, key=len)
+    return _named(table, {"z": "throttle", "yaw": "rudder"}) | found if {"x", "y"} <= found.keys() else found
 
 
 def _of_parrot(table: Table) -> dict[str, str]:
