@@ -82,3 +82,9 @@ def test_precise_flights_that_differ_by_a_hundred_standard_errors_have_that_spre
     assert found.reml is not None
     assert found.spread == pytest.approx(found.reml, rel=0.3)
     assert found.sd == pytest.approx(found.reml / np.sqrt(5), rel=0.2)
+
+
+def test_the_spread_of_one_flight_is_the_median_of_its_prior() -> None:
+    assert random_effects(np.array([1.0]), np.array([0.1]), 0.2).spread == pytest.approx(
+        0.2 * 0.76489, rel=0.01
+    )  # of |t3|

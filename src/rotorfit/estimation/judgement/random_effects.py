@@ -28,6 +28,9 @@ GRID = np.concatenate([[0.0], np.geomspace(0.01, 40.0, 79), np.geomspace(44.5, 4
 """Values of the spread that are averaged over, in units of the scale of its prior. The last are for flights that are
 precise and differ by a thousand of their standard errors."""
 
+EDGES = np.concatenate([[0.0], 0.5 * (GRID[1:] + GRID[:-1]), [GRID[-1]]])
+"""Ends of the cells around these values."""
+
 
 @dataclass(frozen=True)
 class RandomEffects:
@@ -72,7 +75,7 @@ def random_effects(value: Array, error: Array, scale: float) -> RandomEffects:
         common=float(mean[0]),
         sd=mixed_half_width(spread, share) / NORMAL,
         next_sd=mixed_half_width(spread + tau**2, share) / NORMAL,
-        spread=float(np.interp(0.5, np.cumsum(share), tau)),
+        spread=max(scale, 1e-12) * float(np.interp(0.5, np.cumsum([0.0, *share]), EDGES)),
         reml=_reml(value, error) if alone else None,
         p_value=_chi_squared(float(misfit[0]), len(value) - 1) if alone else None,
     )
@@ -107,8 +110,7 @@ def _restricted(value: Array, error: Array, tau: Array) -> tuple[Array, Array, A
 def posterior(log_likelihood: Array) -> Array:
     """Posterior probability of each cell of `GRID`, from its log-likelihood, the prior and the width of the cell."""
     prior = (1 + GRID**2 / TAIL) ** (-0.5 * (TAIL + 1))
-    edges = np.concatenate([[0.0], 0.5 * (GRID[1:] + GRID[:-1]), [GRID[-1]]])
-    share = prior * np.diff(edges) * np.exp(log_likelihood - log_likelihood.max())
+    share = prior * np.diff(EDGES) * np.exp(log_likelihood - log_likelihood.max())
     return np.asarray(share / share.sum())
 
 
