@@ -5,8 +5,11 @@ from types import SimpleNamespace
 import pytest
 from numba.core import event
 
+from rotorfit.app import first_use
 from rotorfit.app.cli import compiling
 from rotorfit.app.cli.compiling import compiling_announced
+from rotorfit.app.cli.options import compiled_beforehand
+from rotorfit.core.progress import Progress
 
 
 @pytest.fixture
@@ -64,3 +67,16 @@ def test_nothing_is_said_in_a_pipe(
         compiled(clock, 60)
 
     assert capsys.readouterr().err == ""
+
+
+def test_a_tracker_says_in_a_pipe_too_what_it_waits_for(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compiles(_wanted: object, progress: Progress) -> None:
+        for second in range(3):
+            progress(0.0, f"{first_use.TEXT}: {second} s")
+
+    monkeypatch.setattr(first_use, "compile_beforehand", compiles)
+    compiled_beforehand()
+
+    assert capsys.readouterr() == ("", first_use.TEXT + "\n")

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -219,8 +220,12 @@ def progress_bar() -> Iterator[Progress | None]:
 
 
 def compiled_beforehand() -> None:
-    """Compiles what a tracker needs before it begins: meanwhile a vehicle would fly on."""
+    """Compiles what a tracker needs before it begins: meanwhile a vehicle would fly on. A line says so."""
     from rotorfit.app.first_use import TRACKING, compile_beforehand
 
-    with progress_bar() as progress:
-        compile_beforehand(TRACKING, progress)
+    @cache
+    def say(text: str) -> None:
+        click.echo(text, err=True)
+
+    with progress_bar() as progress:  # where there is no bar a line must do
+        compile_beforehand(TRACKING, progress or (lambda _fraction, text: say(text.partition(":")[0])))
