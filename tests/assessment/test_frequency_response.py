@@ -24,7 +24,7 @@ from rotorfit.assessment.frequency.law_test import law_test, matched
 from rotorfit.assessment.frequency.loop import answers_motion
 from rotorfit.assessment.frequency.response import frequency_response, response_bands, response_of_bands
 from rotorfit.assessment.frequency.spectra import held_integrals, spectra_of, windows_of
-from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.flight_plan import value
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import FrequencyResponse
@@ -441,3 +441,12 @@ def test_a_noisy_phase_at_the_lowest_frequency_turns_no_delay_by_half_a_turn() -
     error = np.abs(law)[:, None] * np.array([1.0, 0.02, 0.02, 0.02, 0.02, 0.02])[:, None] * np.ones(2)
     told = FrequencyResponse("z", omega, spoiled, error, np.full(6, 2.0), np.ones(6), "command")
     np.testing.assert_allclose(told.delay[1:], -np.unwrap(np.angle(law))[1:] / omega[1:], atol=1e-9)
+
+
+def test_what_keeps_a_flight_from_having_a_response_is_named() -> None:
+    flight = flown(STILL, steps(("x", "yaw"), seed=1), 15.0)
+    around = replace(flight, yaw=np.linspace(0.0, 4.0, flight.yaw.size))
+
+    assert frequency_response(around, "x").why_none == "the heading turns by more than 60 deg from its mean"
+    short = replace(flight, segments=(Segment(0.0, 9.0),))
+    assert frequency_response(short, "x").why_none == "no 10 s without a hole in commands or poses"

@@ -13,7 +13,15 @@ import numpy as np
 
 from rotorfit.assessment.frequency.bands import Band, bands_of
 from rotorfit.assessment.frequency.loop import answers_motion
-from rotorfit.assessment.frequency.spectra import SHORTEST, TURNED, Window, spectra_of, window_tones, windows_of
+from rotorfit.assessment.frequency.spectra import (
+    SHORTEST,
+    TURNED,
+    Window,
+    runs_of,
+    spectra_of,
+    window_tones,
+    windows_of,
+)
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import FrequencyResponse, Instrument
@@ -52,8 +60,8 @@ def response_bands(flight: Flight, axis: str, motion: Motion | None = None) -> t
         return (), "none", f"{axis} is not commanded"
     windows = windows_of(flight, axis)
     if not windows:
-        turned = f", or the heading turns by more than {np.degrees(TURNED):.0f} deg" if k < 2 else ""
-        return (), "none", f"no {SHORTEST:g} s without a hole in commands or poses{turned}"
+        turned = f"the heading turns by more than {np.degrees(TURNED):.0f} deg from its mean"
+        return (), "none", turned if any(runs_of(flight)) else f"no {SHORTEST:g} s without a hole in commands or poses"
     if restoring_law(flight, axis, motion) is not None:
         return (), "none", f"the command of {axis} is only a controller's response to the motion"
     every = [window_tones(window) for window in windows]

@@ -121,21 +121,18 @@ class Spectra:
 def windows_of(flight: Flight, axis: str) -> tuple[Window, ...]:
     """The windows of a flight that are long enough, for one axis; without x and y where the vehicle turns far."""
     return tuple(
-        window
-        for part in flight.segments
-        for first, last in _without_holes(flight.pose_time, part.start, part.end)
-        if (window := _window(flight, axis, first, last)) is not None
+        window for first, last in runs_of(flight) if (window := _window(flight, axis, first, last)) is not None
     )
 
 
-def _without_holes(time: Array, start: float, end: float) -> Iterator[tuple[int, int]]:
-    """First pose and one past the last of each long enough run between two times."""
-    inside = np.flatnonzero((time >= start) & (time <= end))
-    if inside.size < 2:
-        return
-    for run in np.split(inside, np.flatnonzero(np.diff(time[inside]) > LONGEST_HOLE) + 1):
-        if time[run[-1]] - time[run[0]] >= SHORTEST:
-            yield int(run[0]), int(run[-1]) + 1
+def runs_of(flight: Flight) -> Iterator[tuple[int, int]]:
+    """First pose and one past the last of each run without a hole that is long enough."""
+    time = flight.pose_time
+    for part in flight.segments:
+        inside = np.flatnonzero((time >= part.start) & (time <= part.end))
+        for run in np.split(inside, np.flatnonzero(np.diff(time[inside]) > LONGEST_HOLE) + 1):
+            if run.size > 1 and time[run[-1]] - time[run[0]] >= SHORTEST:
+                yield int(run[0]), int(run[-1]) + 1
 
 
 def _window(flight: Flight, axis: str, first: int, last: int) -> Window | None:
