@@ -28,6 +28,12 @@ def test_evidence_that_differs_is_told_of_each_axis_under_one_effect() -> None:
     assert told.effect == "no coefficient of x, y and z is a number"
 
 
+def test_the_log_of_findings_that_share_it_is_named_once() -> None:
+    (told,) = told_together([still("x", "a.csv: 0.3 of {}"), still("y", "a.csv: 0.4 of {}")])
+
+    assert told.evidence == "a.csv: 0.3 of x;\n0.4 of y"
+
+
 def test_findings_that_differ_in_more_than_the_axis_stay_apart() -> None:
     both = still("x"), replace(still("y"), remedy="another")
 

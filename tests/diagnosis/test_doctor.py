@@ -605,6 +605,15 @@ def test_a_flipped_sign_is_not_taken_for_a_wrong_frame(tmp_path: Path) -> None:
         assert "scale = -1 (now 1)" in told["sign_flipped", axis]["remedy"]
 
 
+def test_half_a_turn_of_the_pose_is_named_before_a_fit(tmp_path: Path) -> None:
+    log = Csv(flown(TURNING))
+    log.pose[:, 3] += np.pi
+
+    told = said("info", *log.write(tmp_path))
+    assert set(told) == {("sign_flipped", "x"), ("sign_flipped", "y")}
+    assert all(one["remedy"].endswith("turn yaw by half a turn") for one in told.values())
+
+
 def test_commands_that_only_hold_the_vehicle_in_wind_have_no_sign(tmp_path: Path) -> None:
     windy, loop = Truth(wind_sigma=(0.3,) * 4), Controller(2.0, 2.5)
     held = Csv(simulate_flight(windy, steps(("x",), seed=3), 50.0, 3, controller=loop))

@@ -22,9 +22,8 @@ from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import Axis, with_findings
 from rotorfit.core.results import Fit
 from rotorfit.diagnosis.command_checks import share_above
-from rotorfit.diagnosis.command_response import TURNING
 from rotorfit.diagnosis.doctor import SHORT_TIME
-from rotorfit.diagnosis.frame_checks import OVER
+from rotorfit.diagnosis.frame_checks import OVER, or_the_pose
 from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
@@ -265,32 +264,19 @@ def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
         return
     channel = fit.model.card.command.get(name)
     scale = channel.scale if channel else 1.0  # a world command of one axis moves along both
+    points = {axis: fit.model.axes[axis].predictor for axis in AXES}
+    backwards = {axis: point.input < 0 for axis, point in points.items() if point}
+    turning = max((float(np.std(flight.yaw)) for flight in fit.flights), default=0.0)
+    pose = or_the_pose(name, backwards, turning, fit.model.card.frame)
     yield Finding(
         "sign_flipped",
         "warning",
         f"the input gain of {name} is {axis.predictor.input:.3g}: a positive command moves {name} backwards",
         f"the model is right for these logs, but input gain and trim of {name} are not in the sign that other flights "
         "and controllers expect",
-        f"give the {name} channel of [command] in the card scale = {-scale:g} (now {scale:g}){_or_the_pose(fit, name)}",
+        f"give {name} in [command] of the card scale = {-scale:g} (now {scale:g}){pose}",
         name,
     )
-
-
-def _or_the_pose(fit: Fit, name: str) -> str:
-    """How the pose, instead of the command, would explain a reversed sign."""
-    points = {axis: fit.model.axes[axis].predictor for axis in AXES}
-    backwards = {axis: point.input < 0 for axis, point in points.items() if point}
-    other = {"x": "y", "y": "x"}.get(name, "")
-    if backwards.get(other):
-        return ", or, as both x and y are backwards, turn yaw by half a turn"
-    over = [axis for axis in OVER if axis in backwards]
-    if name in over and len(over) > 1 and all(backwards[axis] for axis in over):
-        frame = "ENU" if fit.model.card.frame == "NED" else "NED"
-        return f', or, as {" and ".join(over)} are all backwards, read the pose as {frame}: frame = "{frame}"'
-    turning = max((float(np.std(flight.yaw)) for flight in fit.flights), default=0.0)
-    if other in backwards and turning < TURNING:
-        return f"; or the pose is mirrored, which flights that hardly turn do not tell: then {name} of [pose] instead"
-    return ""
 
 
 def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:

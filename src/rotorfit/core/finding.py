@@ -69,7 +69,12 @@ def _of_all(group: Sequence[Finding]) -> Finding:
     by_evidence: dict[str, list[Finding]] = {}
     for finding in group:
         by_evidence.setdefault(_of(str(finding.axis), "\0", finding.evidence), []).append(finding)
-    evidence = ";\n".join(_of(str(same[0].axis), _axes(same), same[0].evidence) for same in by_evidence.values())
+    told = [_of(str(same[0].axis), _axes(same), same[0].evidence) for same in by_evidence.values()]
+    log = told[0].partition(": ")[0] + ": "
+    later = told[1:]
+    if all(line.startswith(log) for line in later):
+        later = [line.removeprefix(log) for line in later]  # all of one log
+    evidence = ";\n".join([told[0], *later])
     effect, remedy = (_of(str(first.axis), _axes(group), text) for text in (first.effect, first.remedy))
     return replace(first, evidence=evidence, effect=effect, remedy=remedy, axis=None)
 

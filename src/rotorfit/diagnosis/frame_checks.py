@@ -394,12 +394,12 @@ def _turned(card: Card, own: Directions, yaw: float, turning: float) -> Iterator
     if both and apart > np.pi - NEAR:
         if abs(abs(own.angle["x"]) - np.pi / 2) < NEAR:
             yield _exchanged(told, own.angle["x"] < 0)
-        return  # else one sign is reversed: the fit reports it
+        return  # else one sign is reversed: `sign_findings` reports it
     if both and apart > NEAR:
         return
     angle = _mean_angle(own)
     if abs(angle) > np.pi - NEAR:
-        return  # both signs, or half a turn: the fit reports it
+        return  # both signs, or half a turn: `sign_findings` reports it
     yield _offset(card, own, told, angle, yaw, turning)
 
 
@@ -496,6 +496,27 @@ def overturned(told: Mapping[str, CommandResponse], height: int) -> tuple[str, .
     return () if kept or len(turned) < (1 if height < 0 else 2) else turned
 
 
+def or_the_pose(name: str, backwards: Mapping[str, bool], turning: float, frame: str) -> str:
+    """How the pose, instead of the command, would explain that an axis moves backwards; empty where it would not.
+
+    Args:
+        name: Of the axis.
+        backwards: Whether each axis whose direction is known moves backwards.
+        turning: Largest standard deviation of the heading on the flights [rad].
+        frame: That the card gives the pose, `ENU` or `NED`.
+    """
+    other = {"x": "y", "y": "x"}.get(name, "")
+    if backwards.get(other):
+        return ", or, as both x and y are backwards, turn yaw by half a turn"
+    over = [axis for axis in OVER if axis in backwards]
+    if name in over and len(over) > 1 and all(backwards[axis] for axis in over):
+        read = "ENU" if frame == "NED" else "NED"
+        return f', or, as {" and ".join(over)} are all backwards, read the pose as {read}: frame = "{read}"'
+    if other in backwards and turning < TURNING:
+        return f"; or the pose is mirrored, which flights that hardly turn do not tell: then {name} of [pose] instead"
+    return ""
+
+
 def sign_findings(recording: Recording) -> Iterator[Finding]:
     """Findings on signs that are reversed, together where half a turn explains them."""
     card = recording.card
@@ -503,6 +524,7 @@ def sign_findings(recording: Recording) -> Iterator[Finding]:
     turned = overturned(told, height) if card.command_frame == "heading" else ()
     backwards = [name for name, answer in told.items() if answer.axis == name and answer.sign < 0]
     held = restored_axes([recording.flight], backwards)
+    known = {name: name in backwards for name, answer in told.items() if answer.axis == name}
     for name in backwards:
         channel = card.command.get(name)
         if channel is None or name in (*turned, *held):
@@ -512,8 +534,8 @@ def sign_findings(recording: Recording) -> Iterator[Finding]:
             "warning",
             f"the command of {name} moves the vehicle the other way ({told[name].certainty:.0f} standard errors)",
             f"the input gain of {name} comes out negative; delay and damping keep their values",
-            f"give the {name} channel of [command] in the card scale = {-channel.scale:g} (now {channel.scale:g}); a "
-            "pose that is mirrored does the same",
+            f"give {name} in [command] of the card scale = {-channel.scale:g} (now {channel.scale:g})"
+            + or_the_pose(name, known, float(np.std(recording.flight.yaw)), card.frame),
             name,
         )
     if not turned:
