@@ -10,6 +10,7 @@ from flights import fit_as_flown, flown, muddled, steps
 from rotorfit.app.workflows import fit_logs
 from rotorfit.assessment.advice import findings_of_fit, too_early
 from rotorfit.assessment.law_findings import law_findings
+from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.laws import DELAY_RANGE
@@ -355,3 +356,29 @@ def test_an_instrument_that_the_motion_answers_is_a_warning_in_a_soft_loop_too_a
     told = [found(one).get(("instrument_not_valid", "z")) for one in fits]
 
     assert [one and one.severity for one in told] == ["warning", "warning", None]
+
+
+@pytest.mark.parametrize(("delay", "seed"), [(0.25, 2), (0.35, 1)])
+def test_a_law_without_delay_that_finds_nothing_or_the_opposite_is_not_the_fault_of_card_or_excitation(
+    delay: float, seed: int
+) -> None:
+    """Without a delay the commands explain nothing (0.25 s) or have a negative gain (0.35 s); with it all is clear."""
+    late = flown(replace(NO_STALE, delay=(delay,) * 4), steps(("x",), seed=seed), 20.0, seed)
+    result = fit([late], axes=("x",), structure="first_order")
+
+    axis, told = result.model.axes["x"], found(result)
+    assert axis.input is None
+    assert axis.status["input"] == axis.status["damping"] == "refuted"
+    assert {"sign_flipped", "not_excited"}.isdisjoint(code for code, _ in told)
+    assert "with a delay alone, which is likelier, the input is 3." in told["law_refuted", "x"].evidence
+    assert "--structure" in told["law_refuted", "x"].remedy
+    assert "the flights deny the law" in summary_of_model(result.model, ("x",))
+
+
+def test_of_a_law_that_finds_nothing_the_sign_is_that_of_the_law_with_a_delay() -> None:
+    """The command is turned, so that the law without delay would have a positive gain."""
+    late = flown(replace(NO_STALE, delay=(0.35,) * 4), steps(("x",), seed=1), 20.0, 1)
+    told = found(fit([replace(late, command=-late.command)], axes=("x",), structure="first_order"))
+
+    assert told["sign_flipped", "x"].evidence.startswith("the input gain of x is -3.")
+    assert ("law_refuted", "x") in told

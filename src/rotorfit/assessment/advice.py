@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
 from rotorfit.assessment.frequency.loop import seem_to_answer
-from rotorfit.assessment.law_findings import disagreement_findings, law_findings
+from rotorfit.assessment.law_findings import contradicted, disagreement_findings, law_findings
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings
 from rotorfit.core.finding import OTHER_STAMPS, WRONG_FRAME, Finding, by_gravity
@@ -168,6 +168,8 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += _excitation_findings(name, axis, flights)
             laws = law_findings(name, axis, stamped)  # no other law explains a vehicle that changed
             found += (replace(one, remedy=changed[0].remedy) if changed else one for one in laws)
+        elif contradicted(axis):
+            found += law_findings(name, axis, stamped)
         if axis.predictor and name in fit.estimates and name not in wrong:
             found += _slow_findings(name, k, axis, flights)
             found += _feedback_findings(name, fit.estimates[name])
@@ -259,19 +261,20 @@ def _event_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterato
 
 
 def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
-    assert axis.predictor is not None
-    if axis.predictor.input >= 0:
+    point = contradicted(axis) or axis.predictor
+    assert point is not None
+    if point.input >= 0:
         return
     channel = fit.model.card.command.get(name)
     scale = channel.scale if channel else 1.0  # a world command of one axis moves along both
-    points = {axis: fit.model.axes[axis].predictor for axis in AXES}
+    points = {axis: contradicted(one) or one.predictor for axis, one in fit.model.axes.items()}
     backwards = {axis: point.input < 0 for axis, point in points.items() if point}
     turning = max((float(np.std(flight.yaw)) for flight in fit.flights), default=0.0)
     pose = or_the_pose(name, backwards, turning, fit.model.card.frame)
     yield Finding(
         "sign_flipped",
         "warning",
-        f"the input gain of {name} is {axis.predictor.input:.3g}: a positive command moves {name} backwards",
+        f"the input gain of {name} is {point.input:.3g}: a positive command moves {name} backwards",
         f"the model is right for these logs, but input gain and trim of {name} are not in the sign that other flights "
         "and controllers expect",
         f"give {name} in [command] of the card scale = {-scale:g} (now {scale:g}){pose}",

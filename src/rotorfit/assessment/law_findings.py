@@ -8,7 +8,7 @@ import numpy as np
 from rotorfit.assessment.uncertainty import serving_flights
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
-from rotorfit.core.model import Axis, Spread
+from rotorfit.core.model import Axis, Predictor, Spread
 from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
@@ -47,9 +47,22 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
         stamped: Whether commands bear their own stamps.
     """
     yield from _rejected(name, axis)
+    beside = contradicted(axis)
+    told = "; ".join(f"{one.strength} (p = {one.p_value:.1g})" for one in axis.evidence)
+    if beside:
+        under = f"its input is {axis.predictor.input:.3g}" if axis.predictor else f"the {name} command explains nothing"
+        against = f"under it {under}; with a delay alone, which is likelier, the input is {beside.input:.3g}"
+        yield Finding(
+            "law_refuted",
+            "warning",
+            f"{name} does not obey {axis.structure}: {'; '.join(filter(None, (against, told)))}",
+            f"{axis.structure} has no coefficients of {name}; card and excitation are not to blame for it",
+            "fit without --structure, or with --structure auto",
+            name,
+        )
+        return
     if not axis.evidence:
         return
-    told = "; ".join(f"{one.strength} (p = {one.p_value:.1g})" for one in axis.evidence)
     chosen = any(one.chosen for one in axis.candidates)  # by `auto`, which would choose it again
     refuted = [part for part, status in axis.status.items() if status == "refuted"]
     if refuted:
@@ -75,6 +88,17 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
         + "flights with commands of several sizes and speeds show what is missing",
         name,
     )
+
+
+def contradicted(axis: Axis) -> Predictor | None:
+    """The first-order law with a delay, where under the axis's own law the commands explain nothing, or the opposite.
+
+    None where its own law does not contradict it, or is not refuted.
+    """
+    beside = axis.plain.law.predictor if axis.plain and axis.plain.law else None
+    if beside is None or axis.status["input"] != "refuted":
+        return None
+    return beside if axis.predictor is None or axis.predictor.input * beside.input < 0 else None
 
 
 def _rejected(name: str, axis: Axis) -> Iterator[Finding]:

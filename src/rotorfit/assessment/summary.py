@@ -22,6 +22,7 @@ _REASONS = {
     "not_excited": "no flight excites {}",
     "too_short": "the flights are too short for {}, or command it only once",
     "diverged": "the estimation of {} did not converge",
+    "refuted": "the flights deny the law of {}",
     FROZEN: "the pose stands still while {} is commanded",
     _MISREAD: "the card reads {} in a wrong frame",
 }

@@ -495,6 +495,8 @@ def predictor_of(model: Model, axis: str) -> Predictor:
 def unknown_why(model: Model, axis: str) -> str:
     """Status of an axis without numbers, in brackets, and what to do."""
     status = model.axes[axis].status["input"]
+    if status == "refuted":
+        return "(refuted): the flights deny the law that was asked for; fit without --structure"
     return f"({status}): {MEND if status == FROZEN else f'fit a flight that moves it{PLANNED}'}"
 
 

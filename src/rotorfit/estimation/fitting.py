@@ -11,7 +11,7 @@ from rotorfit.core.card import Card, Prior
 from rotorfit.core.errors import CardError, FlightError, ModelError
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
-from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
+from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, given_by_law, structure_named
 from rotorfit.core.model import NORMAL, STRUCTURE, Axis, Model, Plain, Predictor, Source, first_order, unknown_axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Outliers, PaperFit
@@ -415,6 +415,10 @@ def _other_structures(
     else:
         found, axes = estimates, plain
     for axis in known:
+        if _contradicts(found[axis], axes[axis], estimates[axis], plain[axis]):
+            lawful = given_by_law(axes[axis].structure)
+            status = {name: one if name in lawful else "refuted" for name, one in axes[axis].status.items()}
+            axes[axis] = replace(axes[axis], status=status)
         if _may_have_no_lag(axes[axis]):
             axes[axis] = united(axes[axis], [plain[axis]])
         if axis in lost:
@@ -426,6 +430,23 @@ def _other_structures(
                 axes[axis], candidates=choice.candidates, samples=choice.samples, combinations=combined
             )
     return _Found(axes, covariance, found, plain={axis: (plain[axis], estimates[axis]) for axis in known})
+
+
+def _contradicts(estimate: Estimate, axis: Axis, beside: Estimate, plain: Axis) -> bool:
+    """Whether a law contradicts the likelier first-order law with a delay, under which the commands explain the motion.
+
+    Its commands explain nothing, or the opposite. A law without a delay does that, since it is judged by what follows
+    a step at once, when the vehicle still does what it did before.
+    """
+    if plain.predictor is None or not _height(estimate) < _height(beside):
+        return False
+    if axis.predictor is None:
+        return axis.status["input"] == "not_excited"
+    return axis.predictor.input * plain.predictor.input < 0
+
+
+def _height(estimate: Estimate) -> float:
+    return float(estimate.optimum.score.log_likelihood)
 
 
 def _may_have_no_lag(axis: Axis) -> bool:
