@@ -16,6 +16,7 @@ from rotorfit.core.finding import Finding, told_together
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model, Predictor, unknown_axis
+from rotorfit.core.results import held_lines
 from rotorfit.dynamics.protocol import hold_velocity, predict_flight, score_predictions
 from rotorfit.estimation.fitting import fit
 from rotorfit.planning.signals import two_sines
@@ -360,3 +361,20 @@ def test_errors_of_the_data_of_a_flight_are_told_first() -> None:
 
     assert validation.findings[0] == replace(wrong, evidence=f"x acts left ({flight.path})")
     assert validation.misread == validation.findings[:1]
+
+
+def test_what_a_flight_merely_holds_is_not_pooled_which_is_told_where_pooled_figures_are() -> None:
+    held = flown(Truth(), steps(("x",), seed=1), 20.0, 1, controller=Controller(2.0, 2.0))
+    moved = [
+        replace(flown(Truth(), steps(("x", "z"), 1.0, seed=seed), 20.0, seed), path=f"{seed}.bag") for seed in (2, 3)
+    ]
+    found = validate(of(), [held, *moved])
+
+    assert "z" in found.flights[0].held
+    assert "z" not in found.flights[0].moved
+    assert found.flights[0].axes["z"].horizons["1"].velocity_rmse is not None
+    lines = held_lines(found.flights)
+    assert len(lines) == 1
+    assert "z" in lines[0]
+    assert "merely held" in lines[0]
+    assert "z" in to_mapping(found)["flights"][0]["held"]

@@ -18,7 +18,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import HORIZONS, SCORE_COLUMNS, FlightScores, PairedTest, Validation
+from rotorfit.core.results import HORIZONS, SCORE_COLUMNS, FlightScores, PairedTest, Validation, held_lines
 from rotorfit.files.log_span import LogSpan, parse_log
 from rotorfit.files.models import is_model_file, load
 
@@ -138,6 +138,7 @@ def compare_models(
     notes += reservations([f"model {number}" for number in range(1, len(names) + 1)], models, validations)
     biased = dict.fromkeys(one for each in validations for one in each.findings if one.code in UNFAIR)
     notes += [f"{one.evidence}: {one.effect}" for one in told_together(biased)]
+    notes += held_lines(validations[0].flights)
     return Comparison(tuple(names), tuple(validations), _paired(validations, alike), tuple(notes))
 
 

@@ -16,7 +16,7 @@ from rotorfit.assessment.method_comparison import Ladder, ladder
 from rotorfit.assessment.mismatch import beginning
 from rotorfit.assessment.prior_influence import with_influence
 from rotorfit.assessment.uncertainty import with_uncertainty
-from rotorfit.assessment.validation import dynamics_from_model, validate
+from rotorfit.assessment.validation import dynamics_from_model, validate_chosen
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, LogError, RotorfitError
 from rotorfit.core.flight_data import Flight, Note
@@ -31,8 +31,8 @@ from rotorfit.core.results import CURVE, HORIZONS, Fit, Validation
 from rotorfit.core.writing import check_place
 from rotorfit.diagnosis.card_choice import another_card, card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
+from rotorfit.estimation.excitation import without_idle_axes
 from rotorfit.estimation.fitting import fit, with_delay_profiles
-from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.estimation.methods import BEST
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.kinds import KINDS
@@ -222,8 +222,8 @@ def validate_logs(
     own = card_from_mapping(model.card.raw, "the model's card")
     chosen = load_card(card) if isinstance(card, str) else card
     flown = [_with_errors(*one) for one in _all_flown(logs, chosen, own, progress)]
-    flights = tuple(placed(model, flight) for flight in without_held_axes(flown, beside))
-    return validate(model, flights, horizons, progress), flights
+    flights = tuple(placed(model, flight) for flight in without_idle_axes(flown, beside))
+    return validate_chosen(model, flights, horizons, progress), flights
 
 
 def usable_logs(

@@ -33,7 +33,7 @@ from rotorfit.dynamics.protocol import (
     predictions,
     scores_of,
 )
-from rotorfit.estimation.grouping import without_held_axes
+from rotorfit.estimation.excitation import without_idle_axes
 from rotorfit.estimation.likelihood.blocks import HELD_HEADING
 from rotorfit.flights.distinct import check_distinct, check_flights
 
@@ -91,12 +91,19 @@ def validate(
         FlightError: No flight is given, one is given twice, a horizon is not positive, or as for `dynamics_from_model`.
     """
     check_flights(flights)
+    return validate_chosen(model, without_idle_axes(flights), horizons, progress)
+
+
+def validate_chosen(
+    model: Model, flights: Sequence[Flight], horizons: Sequence[float] = HORIZONS, progress: Progress | None = None
+) -> Validation:
+    """As `validate`, on flights without the axes that they only hold, see `without_idle_axes`."""
+    check_flights(flights)
     if not flights:
         raise FlightError("no flight to validate on: give at least one log")
     if not horizons or min(horizons) <= 0:
         raise FlightError(f"horizons must be positive seconds, not {', '.join(f'{h:g}' for h in horizons)}")
     check_distinct(flights)
-    flights = without_held_axes(flights)
     scores: dict[str, list[FlightScores]] = {name: [] for name in ("model", *BASELINES)}
     errors: dict[str, list[Mapping[str, StartErrors]]] = {name: [] for name in scores}
     tests, bands = [], []
@@ -257,7 +264,7 @@ def _score_flight(
         axes = {a: score if wanted[name][k] else empty for k, (a, score) in enumerate(scores_of(every).items())}
         heading: Literal["predicted", "measured"] = "predicted" if turning[name] else "measured"
         fitted = was_fitted(model, flight)
-        scores = FlightScores(flight.path, flight.span, axes, heading, fitted, flight.moved, _turn(flight))
+        scores = FlightScores(flight.path, flight.span, axes, heading, fitted, flight.moved, _turn(flight), flight.held)
         out[name] = scores, {f"{h:g}": _known_errors(each, wanted[name]) for h, each in every.starts.items()}
     return out, band_scores(bands)
 

@@ -190,6 +190,7 @@ class Flight:
         command_lead: How long before the vehicle a command in the log may change [s]: half the period of commands
             between which lines were drawn onto the rows; 0 where there are no such lines.
         stamp_step: Step of a clock that most poses, or commands, share a stamp of [s]: none is known to less.
+        held: Commanded axes that were taken from `axes`, since the flight only holds them while another moves them.
     """
 
     path: str
@@ -214,6 +215,7 @@ class Flight:
     pose_lateness: float = 0.0
     command_lead: float = 0.0
     stamp_step: float = 0.0
+    held: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         said = (

@@ -334,6 +334,7 @@ class FlightScores:
         fitted: Whether the model was fitted to part of this stretch: then the scores prove nothing.
         moved: The axes that the flight excites itself, rather than merely holding while another axis moves them.
         turned: Range of the heading within the segments of the flight [rad].
+        held: The axes that it commands, but only holds while another flight moves them: they are not pooled.
     """
 
     path: str
@@ -343,6 +344,7 @@ class FlightScores:
     fitted: bool = False
     moved: tuple[str, ...] = ()
     turned: float = 0.0
+    held: tuple[str, ...] = ()
 
     def unlike(self, other: FlightScores) -> tuple[str, ...]:
         """Axes whose errors cannot be compared with another predictor's on the same flight.
@@ -360,6 +362,16 @@ def named_apart(flights: Sequence[FlightScores], folders: bool = True) -> list[s
         (path if folders else Path(path).name)
         + (f", {flight.span[0]:.1f} to {flight.span[1]:.1f} s" if paths.count(path) > 1 else "")
         for path, flight in zip(paths, flights, strict=True)
+    ]
+
+
+def held_lines(flights: Sequence[FlightScores]) -> list[str]:
+    """The axes that flights only hold, which pooled figures leave out: a line for each such flight."""
+    return [
+        f"not pooled: {', '.join(flight.held)} of {name}, merely held: commands below a fifth of another flight's, "
+        "which by themselves do not plainly explain its motion"
+        for flight, name in zip(flights, named_apart(flights, folders=False), strict=True)
+        if flight.held
     ]
 
 

@@ -1,6 +1,6 @@
 """Which flights excite an axis and which only hold it, and which axes are fitted together."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,27 +23,49 @@ def without_held_axes(flights: Sequence[Flight], beside: Sequence[Flight] = ()) 
         flights: Flights of one vehicle.
         beside: Further flights of the vehicle, used only to see how strongly an axis is commanded when it is excited.
     """
+    shares = small_commands(flights, beside)
+    return [
+        without(flight, share, "is not fitted to this flight") for flight, share in zip(flights, shares, strict=True)
+    ]
+
+
+def small_commands(flights: Sequence[Flight], beside: Sequence[Flight] = ()) -> list[dict[str, float]]:
+    """The axes that each flight commands by less than `HELD` of another one, with that share.
+
+    Args:
+        flights: Flights of one vehicle.
+        beside: As for `without_held_axes`.
+    """
     power = [
         [np.mean(f.command[:, k] ** 2) * (axis in f.axes) for k, axis in enumerate(AXES)] for f in (*flights, *beside)
     ]
     strength = np.sqrt(np.reshape(power, (-1, len(AXES))))
-    share = strength / np.maximum(strength.max(axis=0, initial=0.0), np.finfo(float).tiny)
+    shares = strength / np.maximum(strength.max(axis=0, initial=0.0), np.finfo(float).tiny)
     return [
-        replace(
-            flight,
-            axes=tuple(axis for axis in flight.axes if not 0 < row[AXES.index(axis)] < HELD),
-            notes=(
-                *flight.notes,
-                *(
-                    Note("held_axis", f"{axis} is only held (its commands are {100 * part:.1f} % of those of another "
-                         "flight) and is not fitted to this flight", len(flight.command))
-                    for axis, part in zip(AXES, row, strict=True)
-                    if 0 < part < HELD
-                ),
-            ),
-        )
-        for flight, row in zip(flights, share[: len(flights)], strict=True)
+        {axis: float(share) for axis, share in zip(AXES, row, strict=True) if 0 < share < HELD}
+        for row in shares[: len(flights)]
+    ]
+
+
+def without(flight: Flight, shares: Mapping[str, float], effect: str) -> Flight:
+    """A flight without axes that it only holds, with a note for each.
+
+    Args:
+        flight: The flight.
+        shares: Those axes, with the share of their commands in those of another flight.
+        effect: What becomes of the axis, for the note.
+    """
+    notes = [
+        Note("held_axis", f"{axis} is only held (its commands are {100 * share:.1f} % of those of another flight) and "
+             f"{effect}", len(flight.command))
+        for axis, share in shares.items()
     ]  # fmt: skip
+    return replace(
+        flight,
+        axes=tuple(axis for axis in flight.axes if axis not in shares),
+        held=(*flight.held, *shares),
+        notes=(*flight.notes, *notes),
+    )
 
 
 def commands_axis(flight: Flight, axis: str) -> bool:

@@ -13,6 +13,7 @@ from rotorfit.assessment.whiteness import narrows_intervals
 from rotorfit.core.finding import Finding, by_gravity, told_together
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
+from rotorfit.core.results import held_lines
 from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 from rotorfit.reporting.drawing import draw_chart, drawn_rows
 from rotorfit.reporting.frequency import response_charts
@@ -136,6 +137,7 @@ def _horizon(page: Contents) -> dict[str, Any]:
             for case, each in zip(page.cases, page.evidences, strict=True)
         ],
         "paired_rows": [paired_rows(case.validation) for case in page.cases],
+        "held": list(dict.fromkeys(line for case in page.cases for line in held_lines(case.validation.flights))),
         "heading_measured": any(f.heading == "measured" for case in page.cases for f in case.validation.flights),
     }
 

@@ -11,7 +11,7 @@ from rotorfit.app.terminal.tables import NOTHING, View, bullets, finding_view, i
 from rotorfit.assessment.rows import SPEED
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
-from rotorfit.core.results import named_apart
+from rotorfit.core.results import held_lines, named_apart
 
 if TYPE_CHECKING:
     from rotorfit.assessment.leave_one_out import LeaveOneOut
@@ -182,6 +182,7 @@ def leave_one_out_view(result: "LeaveOneOut", stated: Mapping[str, Mapping[str, 
         stated: Axis name to coefficient to its standard error in the fit to all flights.
     """
     yield from paired_view(result.paired, result.flights)
+    yield from bullets(held_lines(result.flights))
     yield ""
     yield title("Coefficients of the fits that leave out one flight")
     out = table("axis", "coefficient", "lowest", "highest", "jackknife s.e.", "stated s.e.", left=(0, 1))

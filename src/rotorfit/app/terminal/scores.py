@@ -16,6 +16,7 @@ from rotorfit.assessment.summary import read_first, spoiled
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Model
+from rotorfit.core.results import held_lines
 from rotorfit.reporting.verdict import STATUS
 
 if TYPE_CHECKING:
@@ -117,6 +118,7 @@ def validation_view(validation: "Validation") -> View:
     yield from _scores_view({"model": validation.flights, **validation.baselines}, ("model",))
     yield ""
     yield from paired_view(validation.paired, validation.flights)
+    yield from bullets(held_lines(validation.flights))
     yield from responses_view(validation.responses, validation.flights)
     yield from bands_view(validation)
     yield from residuals_view(validation)
@@ -172,10 +174,11 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
         missing = [axis for axis in flight.moved if axis not in shown]
         if missing:
             yield indented(f"No scores of {', '.join(missing)}: no model of the axis, or fewer than 5 predictions.")
-        still = [axis for axis in AXES if axis not in flight.moved]
+        still = [axis for axis in AXES if axis not in (*flight.moved, *flight.held)]
         if still:
-            names = ", ".join(still)
-            yield indented(f"Not shown: {names}, not commanded or merely held in this stretch (--json has them).")
+            yield indented(f"Not shown: {', '.join(still)}, not commanded in this stretch (--json has them).")
+        if flight.held:
+            yield indented(f"Not shown: {', '.join(flight.held)}, merely held in this stretch (--json has them).")
         yield ""
     yield Text(
         "v: RMSE of the predicted velocity over all steps up to the horizon [cm/s, yaw deg/s]; p: RMSE of the position "

@@ -280,8 +280,25 @@ def _explains(
     idle, _ = prediction_error(serving, group, without_input(records, found.optimum, [k]))
     if not answer(records, found.optimum, k).suspected:
         return bool(error < HELPS * idle[k])
-    short = sum(flight.duration for flight in serving) < SHORT
-    return bool(error < (EXPLAINS_SHORT if short else EXPLAINS) * idle[k])
+    return bool(error < _explains_below(serving) * idle[k])
+
+
+def _explains_below(serving: Sequence[Flight]) -> float:
+    """Share of the error without commands below which the commands explain the motion, in a feedback loop, too."""
+    return EXPLAINS_SHORT if sum(flight.duration for flight in serving) < SHORT else EXPLAINS
+
+
+def explains_plainly(serving: Sequence[Flight], estimate: Estimate) -> bool:
+    """Whether the commands improve predictions by as much as is required of them in a feedback loop, in whatever loop.
+
+    Args:
+        serving: Flights of the estimate.
+        estimate: The estimate of an axis that counts as excited.
+    """
+    axes, k = estimate.records[0].axes, estimate.place
+    idle = without_input(estimate.records, estimate.optimum, [k])
+    (error, _), (alone, _) = (prediction_error(serving, axes, one) for one in (estimate.optimum, idle))
+    return bool(error[k] < _explains_below(serving) * alone[k])
 
 
 def free_of(records: Sequence[Record], moving: Sequence[bool], structures: Sequence[Structure] = ()) -> Mask:
