@@ -8,12 +8,16 @@ import pytest
 from flights import fit_as_flown, flown, steps
 from rotorfit.app.comparison import Comparison, compare_models
 from rotorfit.app.workflows import cases_of_models
+from rotorfit.assessment.case import Case
 from rotorfit.assessment.evidence import evidence_of
+from rotorfit.assessment.validation import to_mapping, validate, validate_chosen
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.model import Model, unknown_axis
 from rotorfit.core.results import Paired
 from rotorfit.dynamics.other_limits import convert
+from rotorfit.exports.validity import scores as validity_lines
 from rotorfit.reporting.side_by_side import leads
+from rotorfit.reporting.verdict import verdict_on
 from rotorfit.simulation.paper_vehicle import Truth
 
 pytestmark = pytest.mark.flights
@@ -112,3 +116,29 @@ def test_the_report_says_likewise_that_an_axis_is_not_tested() -> None:
     told = {lead.axis: lead.reason for lead in leads(evidence_of(cases), 1.0)}
     assert told["x"] == "leads; not tested, for only one of the two is told where the vehicle turns"
     assert "not tested" not in told["z"]
+
+
+def test_scores_of_a_converted_model_say_wherever_they_stand_that_the_limits_are_its_new_ones() -> None:
+    """Nothing says under which limits a log without a card was flown."""
+    slower = convert(known(), {"vertical_speed": 0.5})
+    flight = replace(turning(), card=slower.card)
+    found = validate_chosen(slower, [flight], assumed=True)
+
+    (told,) = (one for one in found.findings if one.code == "converted")
+    assert told.axis == "z"
+    assert "limit of 0.5 m/s, not of 1.2 m/s" in told.evidence
+    assert told in found.before_scores
+    assert any("z: the model was converted" in line for line in validity_lines(to_mapping(found), ("x", "z")))
+    assert not any("converted" in line for line in validity_lines(to_mapping(found), ("x",)))
+    verdict = verdict_on(evidence_of([Case("slower.json", slower, (), found, (flight,))])[0])
+    assert verdict.lights[2].word == "not proven"
+    assert any(one.startswith("z: score the model on flights under its new limits") for one in verdict.advice)
+    assert not any("noise" in one and "z" in one.partition(":")[0] for one in verdict.advice)
+
+
+@pytest.mark.parametrize(("limits", "told"), [("new", False), ("old", True)])
+def test_who_names_the_card_of_a_flight_says_under_which_limits_it_was_flown(limits: str, told: bool) -> None:
+    slower = convert(known(), {"vertical_speed": 0.5})
+    flight = replace(turning(), card=slower.card if limits == "new" else known().card)
+
+    assert bool([one for one in validate(slower, [flight], (1.0,)).findings if one.code == "converted"]) == told

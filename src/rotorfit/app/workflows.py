@@ -223,7 +223,7 @@ def validate_logs(
     chosen = load_card(card) if isinstance(card, str) else card
     flown = [_with_errors(*one) for one in _all_flown(logs, chosen, own, progress)]
     flights = tuple(placed(model, flight) for flight in without_idle_axes(flown, beside))
-    return validate_chosen(model, flights, horizons, progress), flights
+    return validate_chosen(model, flights, horizons, progress, assumed=card is None), flights
 
 
 def usable_logs(

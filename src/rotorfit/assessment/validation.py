@@ -19,10 +19,12 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY, LEVELS_OF, structure_named
+from rotorfit.core.limits import disagreement, limit_text, meaning_of
 from rotorfit.core.model import Model, Predictor
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import HORIZONS, AxisScore, FlightScores, Horizon, StartErrors, Validation
 from rotorfit.dynamics.error_bands import Stated, band_scores, stated
+from rotorfit.dynamics.other_limits import flown_card
 from rotorfit.dynamics.protocol import (
     AxisDynamics,
     Errors,
@@ -95,9 +97,21 @@ def validate(
 
 
 def validate_chosen(
-    model: Model, flights: Sequence[Flight], horizons: Sequence[float] = HORIZONS, progress: Progress | None = None
+    model: Model,
+    flights: Sequence[Flight],
+    horizons: Sequence[float] = HORIZONS,
+    progress: Progress | None = None,
+    assumed: bool = False,
 ) -> Validation:
-    """As `validate`, on flights without the axes that they only hold, see `without_idle_axes`."""
+    """As `validate`, on flights without the axes that they only hold, see `without_idle_axes`.
+
+    Args:
+        model: As for `validate`.
+        flights: As for `validate`.
+        horizons: As for `validate`.
+        progress: As for `validate`.
+        assumed: Whether flights that were read with the model's card had no other: nobody says that it is theirs.
+    """
     check_flights(flights)
     if not flights:
         raise FlightError("no flight to validate on: give at least one log")
@@ -138,6 +152,7 @@ def validate_chosen(
     )
     found += [_delay_not_tested(flight) for flight in flights if unclocked(model, flight)]
     known = [axis for axis in AXES if model.axes[axis].predictor]
+    found += _of_conversion(model, flights, assumed)
     found += _alone_in_the_plane(known, flights)
     found += findings_of_loops(flights, known, max(horizons))
     found = [*(one for each in misread for one in each), *sorted(found, key=lambda finding: finding.severity == "info")]
@@ -154,6 +169,30 @@ def validate_chosen(
         responses=responses,
         bands=tuple(bands),
     )
+
+
+def _of_conversion(model: Model, flights: Sequence[Flight], assumed: bool) -> Iterator[Finding]:
+    """A finding for each axis whose commands a converted model takes for fractions of its new limit, unconfirmed."""
+    same = model.card.raw
+    read = [one for one in flights if (assumed and one.card.raw == same) or disagreement(one.card, model.card)]
+    for axis, factor in model.conversion.factor.items() if model.conversion and read else ():
+        limit = meaning_of(model.card, axis).limit
+        if factor == 1 or limit is None or model.axes[axis].predictor is None:
+            continue
+        now, before = (limit_text(limit, card.limits[limit]) for card in (model.card, flown_card(model)))
+        names = [flight.path for flight in read if axis in flight.moved and was_fitted(model, flight)]
+        yield Finding(
+            "converted",
+            "warning",
+            f"the model was converted: the commands of {axis} are read as given under a {limit.replace('_', ' ')} "
+            f"limit of {now}, not of {before} as in the flights that it was fitted to"
+            + f", such as {', '.join(dict.fromkeys(names))}"
+            * bool(names),
+            f"of flights under the former limit, scores, verdicts and residual tests of {axis} are wrong",
+            "score the model on flights under its new limits, with --card and a card that states them; or score it as "
+            "it was before the conversion",
+            axis,
+        )
 
 
 def _alone_in_the_plane(known: Sequence[str], flights: Sequence[Flight]) -> Iterator[Finding]:

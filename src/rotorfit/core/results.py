@@ -444,6 +444,12 @@ class Validation:
         """Errors in the data of the flights, or in how the card reads them: the scores do not judge the model."""
         return tuple(finding for finding in self.findings if finding.severity == "error")
 
+    @property
+    def before_scores(self) -> tuple[Finding, ...]:
+        """What must be read before the scores: they may not be the model's."""
+        converted = [finding for finding in self.findings if finding.code == "converted"]
+        return (*self.misread, *converted)
+
     def __repr__(self) -> str:
         return text_table(*self._table())
 

@@ -71,6 +71,7 @@ def scores(known: Mapping[str, Any] | None, axes: Sequence[str], changed: Sequen
     """
     if not known:
         return [UNKNOWN]
+    doubts = [one for one in known.get("findings", ()) if one["code"] == "converted" and one["axis"] in axes]
     lines = [
         line
         for flight in known["flights"]
@@ -82,7 +83,8 @@ def scores(known: Mapping[str, Any] | None, axes: Sequence[str], changed: Sequen
         for axis in changed
         if any(axis in flight["moved"] for flight in known["flights"])
     ]
-    return lines or ["None: no flight was long enough to be predicted."]
+    told = [f"{one['axis']}: {one['evidence']}: {one['effect']}." for one in doubts] if lines else []
+    return [*told, *lines] or ["None: no flight was long enough to be predicted."]
 
 
 def _line(axis: str, flight: Mapping[str, Any]) -> str:

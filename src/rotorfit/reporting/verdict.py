@@ -78,7 +78,7 @@ def uses_of(
         paired: Paired tests of the model against the baselines.
         known: The axes that have a model.
         horizons: Horizons of the answers [s].
-        misread: Errors in the data of these flights.
+        misread: Errors, or doubts, about how these flights are read.
         spent: The axes that only flights of the fit move.
     """
     by_place = {(score.axis, f"{score.horizon:g}"): score for score in scores}
@@ -269,7 +269,13 @@ def verdict_on(evidence: Evidence, speeds: Mapping[str, float] | None = None) ->
     scored = zip(validation.flights, validation.residuals, strict=False)
     residuals = [tests for flight, tests in scored if not flight.fitted]
     return verdict_of(
-        evidence.case.model, evidence.scores, validation.paired, residuals, speeds, validation.misread, validation.spent
+        evidence.case.model,
+        evidence.scores,
+        validation.paired,
+        residuals,
+        speeds,
+        validation.before_scores,
+        validation.spent,
     )
 
 
@@ -294,7 +300,7 @@ def verdict_of(
         paired: Paired tests of the model against the baselines.
         residuals: Axis to its tests, one mapping for each flight that was not fitted.
         speeds: Axis to the speed up to which it was tested [m/s or rad/s].
-        misread: Errors in the data of the validation flights: what they touch is not proven, whatever the scores.
+        misread: `Validation.before_scores` of the flights: what they touch is not proven, whatever the scores.
         spent: The axes that only flights of the fit move.
     """
     known = [axis for axis in AXES if model.axes[axis].predictor is not None]
@@ -361,7 +367,7 @@ def _predictions(use: Use) -> Lamp:
 
 def _coefficients(model: Model, axis: str) -> Lamp:
     """Lamp for the coefficients: whether they are known and no finding warns of them."""
-    mine = [f for f in model.findings if f.axis in (axis, None)]
+    mine = [f for f in model.findings if f.axis in (axis, None) and f.code != "converted"]  # of the flights, not them
     forbidden = [f.evidence for f in mine if f.severity == "error"]
     early = any(f.code == "delay_negative" for f in mine)
     gaps = [*_unknown(model.axes[axis], model.method), *_early(model.axes[axis], early)]
@@ -569,7 +575,9 @@ def _whole(
         why = f": the fit left out {and_list(left_out)}" if left_out else ""
         return f"As a whole: no. There is no model of {named}, which can be commanded{why}."
     if misread := and_list([use.axis for use in lacking if use.remedy]):
-        return f"As a whole: not proven. The flights were misread in what concerns {misread}: see the findings."
+        return (
+            f"As a whole: not proven. The flights were or may be misread in what concerns {misread}: see the findings."
+        )
     if now.answer == "unproven":
         more = " What overlaps the training does not count." if any(u.reason == OVERLAPS for u in lacking) else ""
         return f"As a whole: not proven. No flight that was not fitted moves {named}, or not for long enough.{more}"

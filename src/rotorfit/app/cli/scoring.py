@@ -49,10 +49,6 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.scores import validation_view
 
-    if model.conversion:
-        click.echo(
-            "The model was converted: it is for flights under its new limits, not those that it was fitted to.\n"
-        )
     show(validation_view(validation))
     return None
 

@@ -158,7 +158,7 @@ def residuals_view(validation: "Validation") -> View:
             yield ""
             yield title(f"What the residuals say, {name}")
             yield from bullets([f"{axis}: {residual_line(tests)}" for axis, tests in axes.items()])
-    for finding in told_together(one for one in validation.findings if one not in validation.misread):
+    for finding in told_together(one for one in validation.findings if one not in validation.before_scores):
         yield ""
         yield from finding_view(finding)
 

@@ -112,7 +112,7 @@ _AT_ONCE = 4  # horizons beside each other in 80 columns
 
 def validation_view(validation: "Validation") -> View:
     """What spoils the scores; errors of the model and of the baselines, flight by flight; paired tests; residuals."""
-    for finding in told_together(validation.misread):
+    for finding in told_together(validation.before_scores):
         yield from finding_view(finding)
         yield ""
     yield from _scores_view({"model": validation.flights, **validation.baselines}, ("model",))
