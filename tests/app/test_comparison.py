@@ -142,3 +142,19 @@ def test_who_names_the_card_of_a_flight_says_under_which_limits_it_was_flown(lim
     flight = replace(turning(), card=slower.card if limits == "new" else known().card)
 
     assert bool([one for one in validate(slower, [flight], (1.0,)).findings if one.code == "converted"]) == told
+
+
+def test_each_model_is_pooled_over_the_flights_that_it_was_not_fitted_to_whichever_comes_first() -> None:
+    flights = tuple(replace(flown(Truth(), steps(seed=n), 20.0, n), path=f"{n}.bag", sha256=str(n)) for n in (4, 5))
+    first, second = (fit_as_flown([flight]).model for flight in flights)
+    flights = (*flights, turning())
+
+    one, two = compared(first, second, flights=flights), compared(second, first, flights=flights)
+    for name in ("hold", "paper"):
+        assert difference(one, "z", "model 1", name) == difference(two, "z", "model 2", name)
+    assert difference(one, "z", "model 1", "hold").pooled_flights == (1, 2)
+    assert difference(one, "z", "model 2", "hold").pooled_flights == (0, 2)
+    assert difference(one, "z", "model 2", "model 1").pooled_flights == (2,)
+    assert [note for note in one.notes if "model 2 vs model 1 over 1 flight, " in note]
+    assert [note for note in one.notes if "model 1 vs hold, model 1 vs paper over 2 flights, 5.bag, " in note]
+    assert not [note for note in compared(first, first, flights=flights).notes if "not all are pooled" in note]

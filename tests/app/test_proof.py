@@ -124,3 +124,27 @@ def test_what_is_not_shown_has_an_interval_that_holds_zero_however_small_its_sta
     assert ends[0] < 0 < ends[1]
     assert "-21 (-47 to +6) none shown" in told(paired_view([paired_of(doubtful)], scores_of("flight.bag")))
     assert SHORT.rmse_ci95 is None
+
+
+def test_on_a_flight_of_the_fit_a_difference_has_no_verdict() -> None:
+    tests = [replace(paired_of(BETTER, WORSE), first=name) for name in ("model 1", "model 2")]
+    found = told(paired_view(tests, scores_of("a.bag", "b.bag"), [("model 1",), ()]))
+    first, second = found.split("b.bag")
+
+    assert "a.bag; model 1 was fitted to it" in first
+    assert "1 vs hold -1.23 (-1.68 to -0.78) fitted" in first
+    assert "2 vs hold -1.23 (-1.68 to -0.78) better" in first
+    assert "worse" in second
+    assert "fitted" not in second.partition("Difference of")[0]
+    assert "the model was fitted to it" in told(paired_view([paired_of(BETTER)], scores_of("a.bag"), [("model",)]))
+
+
+def test_what_the_flights_of_a_fit_say_is_no_disagreement() -> None:
+    """The first one does not count."""
+    test = paired_of(BETTER, WORSE, WORSE, pooled=WORSE, agreement=1e-4)
+    counted = {axis: {key: {what: replace(one, pooled_flights=(1, 2)) for what, one in both.items()}
+               for key, both in each.items()} for axis, each in test.axes.items()}  # fmt: skip
+
+    flights = scores_of("a.bag", "b.bag", "c.bag")
+    assert "read them apart" in told(paired_view([test], flights))
+    assert "read them apart" not in told(paired_view([replace(test, axes=counted)], flights))

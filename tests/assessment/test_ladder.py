@@ -284,3 +284,11 @@ def test_the_verb_gives_json_and_fit_takes_the_rungs(bag: Path, tmp_path: Path) 
     scored = CliRunner().invoke(main, ["validate", str(output), str(bag), "--json"])
     error = json.loads(scored.stdout)["flights"][0]["axes"]["z"]["horizons"]["1"]["velocity_rmse"]
     assert error == pytest.approx(found["svf"]["prediction"])
+
+
+def test_where_the_heading_turns_x_without_the_commanded_y_is_told_to_be_predicted_without_it() -> None:
+    flight = flown(Truth(), steps(("x", "y", "yaw"), seed=1), 12.0, 1)
+
+    found = {axes: [one.axis for one in ladder([flight], axes).findings if one.code == "other_axis_unknown"]
+             for axes in (("x",), ("x", "y"))}  # fmt: skip
+    assert found == {("x",): ["x"], ("x", "y"): []}

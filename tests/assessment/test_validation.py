@@ -16,7 +16,7 @@ from rotorfit.core.finding import Finding, told_together
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model, Predictor, unknown_axis
-from rotorfit.core.results import held_lines
+from rotorfit.core.results import pool_lines
 from rotorfit.dynamics.protocol import hold_velocity, predict_flight, score_predictions
 from rotorfit.estimation.fitting import fit
 from rotorfit.planning.signals import two_sines
@@ -373,7 +373,7 @@ def test_what_a_flight_merely_holds_is_not_pooled_which_is_told_where_pooled_fig
     assert "z" in found.flights[0].held
     assert "z" not in found.flights[0].moved
     assert found.flights[0].axes["z"].horizons["1"].velocity_rmse is not None
-    lines = held_lines(found.flights)
+    lines = pool_lines(found.flights, found.paired)
     assert len(lines) == 1
     assert "z" in lines[0]
     assert "merely held" in lines[0]

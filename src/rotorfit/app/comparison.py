@@ -18,7 +18,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import HORIZONS, SCORE_COLUMNS, FlightScores, PairedTest, Validation, held_lines
+from rotorfit.core.results import HORIZONS, SCORE_COLUMNS, FlightScores, PairedTest, Validation, pool_lines
 from rotorfit.files.log_span import LogSpan, parse_log
 from rotorfit.files.models import is_model_file, load
 
@@ -138,8 +138,9 @@ def compare_models(
     notes += reservations([f"model {number}" for number in range(1, len(names) + 1)], models, validations)
     biased = dict.fromkeys(one for each in validations for one in each.findings if one.code in UNFAIR)
     notes += [f"{one.evidence}: {one.effect}" for one in told_together(biased)]
-    notes += held_lines(validations[0].flights)
-    return Comparison(tuple(names), tuple(validations), _paired(validations, alike), tuple(notes))
+    paired = _paired(validations, alike)
+    notes += pool_lines(validations[0].flights, paired)
+    return Comparison(tuple(names), tuple(validations), paired, tuple(notes))
 
 
 def _paired(validations: Sequence[Validation], alike: Sequence[bool]) -> tuple[PairedTest, ...]:
@@ -147,22 +148,13 @@ def _paired(validations: Sequence[Validation], alike: Sequence[bool]) -> tuple[P
     first = validations[0]
     tests = []
     for number, (validation, same) in enumerate(zip(validations, alike, strict=True), 1):
-        fresh = (
-            () if a.fitted or b.fitted else a.moved for a, b in zip(validation.flights, first.flights, strict=True)
-        )
-        counted = tuple(fresh)
         others = [("model 1", first.flights, first.errors["model"])] if same and number > 1 else []
         others += [(name, validation.baselines[name], validation.errors[name]) for name in ("hold", "paper")]
-        tests += [
-            paired_test(
-                (f"model {number}", name),
-                validation.errors["model"],
-                errors,
-                counted,
-                [a.unlike(b) for a, b in zip(validation.flights, scores, strict=True)],
-            )
-            for name, scores, errors in others
-        ]
+        for name, scores, errors in others:
+            pairs = list(zip(validation.flights, scores, strict=True))
+            counted = [() if a.fitted or b.fitted else a.moved for a, b in pairs]
+            unlike = [a.unlike(b) for a, b in pairs]
+            tests.append(paired_test((f"model {number}", name), validation.errors["model"], errors, counted, unlike))
     return tuple(tests)
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from rotorfit.assessment.advice import instrument_not_valid, with_advice
-from rotorfit.assessment.validation import horizon_scores
+from rotorfit.assessment.validation import alone_in_the_plane, horizon_scores
 from rotorfit.core.display import short_repr
-from rotorfit.core.finding import Finding
+from rotorfit.core.finding import Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, FROZEN, NORMAL, STRUCTURE, Axis
@@ -135,8 +135,10 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
         for axis in wanted
     }
     errors = {axis: _pooled(held, axis, served[axis]) for axis in wanted}
-    told = tuple(finding for finding in best.findings if finding.axis is None or finding.axis in wanted)
-    return Ladder(tuple(f.path for f in flights), rows, errors, told)
+    told = [finding for finding in best.findings if finding.axis is None or finding.axis in wanted]
+    known = [axis for axis in wanted if any(row.prediction is not None for row in rows[axis])]
+    told += alone_in_the_plane(known, fits[BEST].flights)
+    return Ladder(tuple(f.path for f in flights), rows, errors, by_gravity(told))
 
 
 def _remark(fitted: Fit, axis: str) -> str:

@@ -95,13 +95,15 @@ def _compared(
         None if axis in axes else _loss(a[key], b[key], k, what, horizon)
         for a, b, axes in zip(first, second, unlike, strict=True)
     ]
-    pool = [loss for loss, axes in zip(losses, counted, strict=True) if loss is not None and axis in axes]
-    known = [loss for loss in pool if loss.freedom >= LEAST_FREEDOM] or pool
+    pairs = zip(losses, counted, strict=True)
+    pool = {place: loss for place, (loss, axes) in enumerate(pairs) if loss is not None and axis in axes}
+    known = {place: loss for place, loss in pool.items() if loss.freedom >= LEAST_FREEDOM} or pool
     return Paired(
         tuple(None if loss is None else _difference([loss]) for loss in losses),
-        _difference(known) if known else None,
-        _agreement([loss for loss in pool if loss.freedom >= AGREEMENT_FREEDOM]),
+        _difference([*known.values()]) if known else None,
+        _agreement([loss for loss in pool.values() if loss.freedom >= AGREEMENT_FREEDOM]),
         len(pool) - len(known),
+        tuple(known),
     )
 
 

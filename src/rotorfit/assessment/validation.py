@@ -153,7 +153,7 @@ def validate_chosen(
     found += [_delay_not_tested(flight) for flight in flights if unclocked(model, flight)]
     known = [axis for axis in AXES if model.axes[axis].predictor]
     found += _of_conversion(model, flights, assumed)
-    found += _alone_in_the_plane(known, flights)
+    found += alone_in_the_plane(known, flights)
     found += findings_of_loops(flights, known, max(horizons))
     found = [*(one for each in misread for one in each), *sorted(found, key=lambda finding: finding.severity == "info")]
     unlike = {name: [a.unlike(b) for a, b in zip(scores["model"], scores[name], strict=True)] for name in BASELINES}
@@ -195,8 +195,13 @@ def _of_conversion(model: Model, flights: Sequence[Flight], assumed: bool) -> It
         )
 
 
-def _alone_in_the_plane(known: Sequence[str], flights: Sequence[Flight]) -> Iterator[Finding]:
-    """A finding on x or y where the heading turns while the other one, which the model does not know, is commanded."""
+def alone_in_the_plane(known: Sequence[str], flights: Sequence[Flight]) -> Iterator[Finding]:
+    """A finding on x or y where the heading turns while the other one, which the model does not know, is commanded.
+
+    Args:
+        known: The axes that have numbers.
+        flights: The flights on which they are predicted.
+    """
     for axis, other in (("x", "y"), ("y", "x")):
         turned = max((_turn(flight) for flight in flights if {axis, other} <= set(flight.moved)), default=0.0)
         if axis in known and other not in known and turned > 2 * HELD_HEADING:

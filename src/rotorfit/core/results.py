@@ -299,12 +299,14 @@ class Paired:
             None for fewer than two.
         left_out: Number of flights that count, but are too short for a standard error beside others that are not: they
             are not in `pooled`.
+        pooled_flights: Places of the flights in `pooled`.
     """
 
     flights: tuple[Difference | None, ...]
     pooled: Difference | None
     agreement: float | None
     left_out: int = 0
+    pooled_flights: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -365,14 +367,36 @@ def named_apart(flights: Sequence[FlightScores], folders: bool = True) -> list[s
     ]
 
 
-def held_lines(flights: Sequence[FlightScores]) -> list[str]:
-    """The axes that flights only hold, which pooled figures leave out: a line for each such flight."""
-    return [
+def pool_lines(flights: Sequence[FlightScores], tests: Sequence[PairedTest]) -> list[str]:
+    """What pooled figures leave out as merely held, and the flights behind them where not all are over the same."""
+    names = named_apart(flights, folders=False)
+    lines = [
         f"not pooled: {', '.join(flight.held)} of {name}, merely held: commands below a fifth of another flight's, "
         "which by themselves do not plainly explain its motion"
-        for flight, name in zip(flights, named_apart(flights, folders=False), strict=True)
+        for flight, name in zip(flights, names, strict=True)
         if flight.held
     ]
+    for (axes, places), pairs in _pools_apart(tests).items():
+        told = ", ".join(names[place] for place in places)
+        lines.append(
+            f"not all are pooled over the same flights: {', '.join(axes)} of {', '.join(pairs)} over "
+            f"{counted(len(places), 'flight')}, {told}"
+        )
+    return lines
+
+
+def _pools_apart(tests: Sequence[PairedTest]) -> dict[tuple[tuple[str, ...], tuple[int, ...]], list[str]]:
+    """Axes and places of flights to the tests pooled over these, for the axes of which tests are pooled over others."""
+    behind: dict[tuple[str, tuple[int, ...]], list[str]] = {}
+    for axis in AXES:
+        first = [(test, next(iter(test.axes[axis].values()), {}).get("velocity")) for test in tests]
+        pooled = [(f"{test.first} vs {test.second}", one.pooled_flights) for test, one in first if one and one.pooled]
+        for pair in pooled if len({places for _, places in pooled}) > 1 else ():
+            behind.setdefault(pair, []).append(axis)
+    out: dict[tuple[tuple[str, ...], tuple[int, ...]], list[str]] = {}
+    for (pair, places), axes in behind.items():
+        out.setdefault((tuple(axes), places), []).append(pair)
+    return out
 
 
 SCORE_COLUMNS = (

@@ -13,7 +13,7 @@ from rotorfit.assessment.whiteness import narrows_intervals
 from rotorfit.core.finding import Finding, by_gravity, told_together
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
-from rotorfit.core.results import held_lines
+from rotorfit.core.results import pool_lines
 from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 from rotorfit.reporting.drawing import draw_chart, drawn_rows
 from rotorfit.reporting.frequency import response_charts
@@ -127,6 +127,7 @@ def _delay(page: Contents) -> dict[str, Any]:
 def _horizon(page: Contents) -> dict[str, Any]:
     every = [horizon_charts(each.scores, each.case.validation.paired) for each in page.evidences]
     charts = overlaid(every, page.names) if page.several else every[0]
+    validations = [case.validation for case in page.cases]
     return {
         "horizons": {
             what: _panels(chart for chart in charts if chart.kind == f"horizon_{what}")
@@ -137,7 +138,7 @@ def _horizon(page: Contents) -> dict[str, Any]:
             for case, each in zip(page.cases, page.evidences, strict=True)
         ],
         "paired_rows": [paired_rows(case.validation) for case in page.cases],
-        "held": list(dict.fromkeys(line for case in page.cases for line in held_lines(case.validation.flights))),
+        "pooled": list(dict.fromkeys(line for one in validations for line in pool_lines(one.flights, one.paired))),
         "heading_measured": any(f.heading == "measured" for case in page.cases for f in case.validation.flights),
     }
 

@@ -64,6 +64,9 @@ def leads(evidences: Sequence[Evidence], horizon: float) -> tuple[Lead, ...]:
             texts = tuple(f"{figure(factor * errors[k])} {unit}" if k in errors else "—" for k in range(len(evidences)))
             first, *others = sorted(errors, key=lambda k: errors[k])
             reason = _shown(evidences, first, others[0], axis, horizon) if others else "the only one that was scored"
+            behind = {tuple(not flight.fitted for flight in evidences[k].case.validation.flights) for k in errors}
+            if len(behind) > 1:
+                reason += "; each is scored on the flights that it was not fitted to, which are not the same"
             out.append(Lead(axis, texts, first, reason))
     return tuple(out)
 

@@ -1,7 +1,7 @@
 """Terminal output of a validation: paired tests, residual tests, flights left out, in tables that fit 80 columns."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.padding import Padding
@@ -11,7 +11,8 @@ from rotorfit.app.terminal.tables import NOTHING, View, bullets, finding_view, i
 from rotorfit.assessment.rows import SPEED
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
-from rotorfit.core.results import held_lines, named_apart
+from rotorfit.core.plain import listed
+from rotorfit.core.results import named_apart, pool_lines
 
 if TYPE_CHECKING:
     from rotorfit.assessment.leave_one_out import LeaveOneOut
@@ -31,12 +32,15 @@ VERDICTS = {
 """Verdict of a paired test to words that fit a column."""
 
 
-def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]) -> View:
+def paired_view(
+    tests: Sequence["PairedTest"], flights: Sequence["FlightScores"], fitted: Sequence[Collection[str]] = ()
+) -> View:
     """Whether differences are significant: for each flight on the axes that it moves, and pooled if there are several.
 
     Args:
         tests: Paired tests on the flights.
         flights: Scores of the flights.
+        fitted: Names of the predictors that were fitted to each flight: there a difference proves nothing.
     """
     if not tests or not any(tests[0].axes.values()):
         return
@@ -56,17 +60,22 @@ def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]
             some = [(test, found) for test, found in rows if any(each is not None for each in found)]
             for place, (test, found) in enumerate(some):
                 name = f"vs {test.second}" if len({t.first for t in tests}) == 1 else f"{test.first} vs {test.second}"
-                cells = [cell for each in found for cell in _difference(each, axis)]
+                spent = not pooled and fitted and {test.first, test.second} & {*fitted[number]}
+                cells = [cell for each in found for cell in _difference(each, axis, "fitted" if spent else "")]
                 out.add_row("" if place else axis, name.replace("model ", ""), *cells)
         if out.row_count:
             where = "all flights that command the axis and were not fitted" if pooled else names[number]
-            yield title(f"Is the difference real? {where}")
+            who = [] if pooled or not fitted else ["the model" if name == "model" else name for name in fitted[number]]
+            told = f"; {listed(who)} {'was' if len(who) == 1 else 'were'} fitted to it" if who else ""
+            yield title(f"Is the difference real? {where}{told}")
             yield out
     yield from _disagreements(tests, columns)
     yield from bullets(list(_left_out(tests, columns)))
     yield Text(
         "Difference of the RMSE on the same starts [cm/s, cm; yaw deg/s, deg], below 0: the first is better, with its "
-        "95 % interval by Student's t: a short flight has few degrees of freedom; the word is the verdict.",
+        "95 % interval by Student's t: a short flight has few degrees of freedom; the word is the verdict"
+        + (", or fitted: no proof, since one of the two was fitted to the flight" * any(fitted))
+        + ".",
         style="dim",
     )
 
@@ -77,18 +86,19 @@ def _found(test: "PairedTest", axis: str, column: tuple["Quantity", str], flight
     return paired.pooled if flight is None else paired.flights[flight]
 
 
-def _difference(found: "Difference | None", axis: str) -> tuple[str, str]:
-    """Figures and verdict."""
+def _difference(found: "Difference | None", axis: str, instead: str) -> tuple[str, str]:
+    """Figures and verdict, or another word instead of it."""
     if found is None:
         return "-", ""
+    word = instead or VERDICTS[found.verdict]
     scale = SPEED[axis][1]
     ends, value = found.rmse_ci95, scale * found.rmse
     sign = "-" if value < 0 else "+"
     if ends is None or scale * (ends[1] - ends[0]) / 2 < NOTHING:
-        return f"{sign}{three_digits(abs(value))}", VERDICTS[found.verdict]
+        return f"{sign}{three_digits(abs(value))}", word
     low, high = scale * ends[0], scale * ends[1]
     decimals = max(0, 1 - math.floor(math.log10((high - low) / 2)))  # two digits of the half width
-    return f"{value:+.{decimals}f} ({low:+.{decimals}f} to {high:+.{decimals}f})", VERDICTS[found.verdict]
+    return f"{value:+.{decimals}f} ({low:+.{decimals}f} to {high:+.{decimals}f})", word
 
 
 def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quantity", str]]) -> View:
@@ -97,7 +107,8 @@ def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quant
         for axis in AXES:
             for what, key in columns:
                 paired = test.axes[axis][key][what]
-                verdicts = {found.verdict for found in paired.flights if found}
+                counted = [paired.flights[k] for k in paired.pooled_flights] or paired.flights
+                verdicts = {found.verdict for found in counted if found}
                 if paired.agreement is not None and paired.agreement < 0.05 and {"better", "worse"} <= verdicts:
                     yield from bullets(
                         [
@@ -182,7 +193,7 @@ def leave_one_out_view(result: "LeaveOneOut", stated: Mapping[str, Mapping[str, 
         stated: Axis name to coefficient to its standard error in the fit to all flights.
     """
     yield from paired_view(result.paired, result.flights)
-    yield from bullets(held_lines(result.flights))
+    yield from bullets(pool_lines(result.flights, result.paired))
     yield ""
     yield title("Coefficients of the fits that leave out one flight")
     out = table("axis", "coefficient", "lowest", "highest", "jackknife s.e.", "stated s.e.", left=(0, 1))

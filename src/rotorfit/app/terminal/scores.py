@@ -16,7 +16,7 @@ from rotorfit.assessment.summary import read_first, spoiled
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Model
-from rotorfit.core.results import held_lines
+from rotorfit.core.results import pool_lines
 from rotorfit.reporting.verdict import STATUS
 
 if TYPE_CHECKING:
@@ -117,8 +117,10 @@ def validation_view(validation: "Validation") -> View:
         yield ""
     yield from _scores_view({"model": validation.flights, **validation.baselines}, ("model",))
     yield ""
-    yield from paired_view(validation.paired, validation.flights)
-    yield from bullets(held_lines(validation.flights))
+    yield from paired_view(
+        validation.paired, validation.flights, [("model",) * flight.fitted for flight in validation.flights]
+    )
+    yield from bullets(pool_lines(validation.flights, validation.paired))
     yield from responses_view(validation.responses, validation.flights)
     yield from bands_view(validation)
     yield from residuals_view(validation)
@@ -152,7 +154,8 @@ def comparison_view(comparison: "Comparison") -> View:
     models = {name: each.flights for name, each in zip(names, comparison.validations, strict=True)}
     yield from _scores_view({**models, **comparison.baselines}, tuple(models))
     yield ""
-    yield from paired_view(comparison.paired, comparison.validations[0].flights)
+    fitted = [[name for name in models if models[name][k].fitted] for k in range(len(models[names[0]]))]
+    yield from paired_view(comparison.paired, comparison.validations[0].flights, fitted)
     yield from bullets(comparison.notes)
 
 
