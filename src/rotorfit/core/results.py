@@ -391,8 +391,8 @@ def _pools_apart(tests: Sequence[PairedTest]) -> dict[tuple[tuple[str, ...], tup
     for axis in AXES:
         first = [(test, next(iter(test.axes[axis].values()), {}).get("velocity")) for test in tests]
         pooled = [(f"{test.first} vs {test.second}", one.pooled_flights) for test, one in first if one and one.pooled]
-        for pair in pooled if len({places for _, places in pooled}) > 1 else ():
-            behind.setdefault(pair, []).append(axis)
+        for test_and_places in pooled if len({places for _, places in pooled}) > 1 else ():
+            behind.setdefault(test_and_places, []).append(axis)
     out: dict[tuple[tuple[str, ...], tuple[int, ...]], list[str]] = {}
     for (pair, places), axes in behind.items():
         out.setdefault((tuple(axes), places), []).append(pair)
