@@ -5,7 +5,7 @@ from functools import cache
 
 import pytest
 
-from flights import fit_as_flown, flown, steps
+from flights import CARD, fit_as_flown, flown, steps
 from rotorfit.app.comparison import Comparison, compare_models
 from rotorfit.app.workflows import cases_of_models
 from rotorfit.assessment.case import Case
@@ -16,6 +16,7 @@ from rotorfit.core.model import Model, unknown_axis
 from rotorfit.core.results import Paired
 from rotorfit.dynamics.other_limits import convert
 from rotorfit.exports.validity import scores as validity_lines
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.reporting.side_by_side import leads
 from rotorfit.reporting.verdict import verdict_on
 from rotorfit.simulation.paper_vehicle import Truth
@@ -158,3 +159,18 @@ def test_each_model_is_pooled_over_the_flights_that_it_was_not_fitted_to_whichev
     assert [note for note in one.notes if "model 2 vs model 1 over 1 flight, " in note]
     assert [note for note in one.notes if "model 1 vs hold, model 1 vs paper over 2 flights, 5.bag, " in note]
     assert not [note for note in compared(first, first, flights=flights).notes if "not all are pooled" in note]
+
+
+def test_an_axis_that_the_model_does_not_know_has_no_baseline_of_the_paper() -> None:
+    (validation,) = compared(without("yaw")).validations
+
+    assert validation.baselines["paper"][0].heading == validation.flights[0].heading == "measured"
+    for name in ("paper", "coast"):
+        assert validation.baselines[name][0].axes["yaw"].horizons["1"].n == 0
+        assert difference(compared(without("yaw")), "x", "model 1", "paper").pooled is not None
+
+
+def test_a_card_that_does_not_say_what_commands_mean_contradicts_none() -> None:
+    silent = card_from_mapping({key: value for key, value in CARD.raw.items() if key != "limits"}, "silent")
+
+    assert compared(known(), replace(known(), card=silent)).notes == ()

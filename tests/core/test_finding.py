@@ -34,6 +34,16 @@ def test_the_log_of_findings_that_share_it_is_named_once() -> None:
     assert told.evidence == "a.csv: 0.3 of x;\n0.4 of y"
 
 
+def test_an_axis_that_several_flights_tell_of_is_named_once() -> None:
+    first, second = still("x", "a.csv: 0.3 of {}"), still("x", "b.csv: 0.4 of {}")
+
+    (told,) = told_together([first, still("y", "a.csv: 1 of {}"), second])
+    assert told.effect == "no coefficient of x and y is a number"
+    (told,) = told_together([first, second])
+    assert told.evidence == "a.csv: 0.3 of x;\nb.csv: 0.4 of x"
+    assert told.axis == "x"
+
+
 def test_findings_that_differ_in_more_than_the_axis_stay_apart() -> None:
     both = still("x"), replace(still("y"), remedy="another")
 

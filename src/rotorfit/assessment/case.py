@@ -9,7 +9,7 @@ import numpy as np
 from rotorfit.assessment.paired import paired_test
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.limits import meaning_of
+from rotorfit.core.limits import Meaning, meaning_of
 from rotorfit.core.model import Model
 from rotorfit.core.plain import listed
 from rotorfit.core.results import PairedTest, Validation
@@ -57,7 +57,7 @@ def reservations(names: Sequence[str], models: Sequence[Model], validations: Seq
         if model.conversion:
             yield f"{name} was converted: it is for flights under its new limits"
         shared = [axis for axis in AXES if model.axes[axis].predictor and first.axes[axis].predictor]
-        other = [axis for axis in shared if meaning_of(model.card, axis) != meaning_of(first.card, axis)]
+        other = [axis for axis in shared if _contradict(meaning_of(model.card, axis), meaning_of(first.card, axis))]
         if other:
             yield (
                 f"{name}: by its card a command of 1 on {listed(other)} asks for something else than by that of "
@@ -70,6 +70,14 @@ def reservations(names: Sequence[str], models: Sequence[Model], validations: Seq
                 f"{name}: x and y are not tested against {names[0]} on {listed(list(dict.fromkeys(turning)))}, where "
                 f"the heading turns: {predicts} predicts it, {takes} has no yaw and takes the recorded one"
             )
+
+
+def _contradict(one: Meaning, other: Meaning) -> bool:
+    """Whether two cards cannot both be right about the commands of an axis; one that does not say contradicts none."""
+    if one.asked is None or other.asked is None:
+        return False
+    settings = {one.setting, other.setting} - {None}
+    return one.asked != other.asked or one.limit != other.limit or len(settings) > 1
 
 
 def paired_cases(cases: Sequence[Case]) -> dict[tuple[int, int], PairedTest]:

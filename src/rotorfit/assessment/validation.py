@@ -247,8 +247,8 @@ def _touched(misread: Sequence[Finding]) -> set[str | None]:
 def paper_dynamics(model: Model, flight: Flight | None = None) -> dict[str, AxisDynamics]:
     """Dynamics that predictions with the paper's coefficients need: the law without delay, with a filter of its own.
 
-    They are those of a model by method `paper` of the same flights. Axes without coefficients from the regression are
-    only tracked, and yaw is taken as measured.
+    They are those of a model by method `paper` of the same flights. Axes without coefficients from the regression, or
+    of which the model knows nothing (there the regression fits noise), are only tracked, and yaw is taken as measured.
 
     Args:
         model: The model.
@@ -257,7 +257,7 @@ def paper_dynamics(model: Model, flight: Flight | None = None) -> dict[str, Axis
     axes = {}
     for k, (name, axis) in enumerate(model.axes.items()):
         g, b = model.paper[2 * k : 2 * k + 2]
-        point = None if g is None or b is None else Predictor(g, b, 0.0)
+        point = None if g is None or b is None or axis.predictor is None else Predictor(g, b, 0.0)
         noise = model.paper_noise.get(name, axis.noise)
         axes[name] = replace(axis, predictor=point, noise=noise, structure=FIRST_ORDER_DELAY.name)
     return dynamics_from_model(replace(model, axes=axes), flight)
@@ -299,7 +299,8 @@ def _score_flight(
     report(0.8)
 
     known = np.array([model.axes[axis].predictor is not None for axis in AXES])
-    wanted = dict.fromkeys(errors, np.isfinite(coefficients[::2])) | {"model": known, "hold": np.ones(4, bool)}
+    wanted = dict.fromkeys(errors, np.isfinite(coefficients[::2]) & known)
+    wanted |= {"model": known, "hold": np.ones(4, bool)}
     turning = dict.fromkeys(errors, bool(known[AXES.index("yaw")])) | {"paper": "yaw" in paper}
     empty = AxisScore({f"{h:g}": Horizon(None, None, 0) for h in horizons}, None)
     out = {}

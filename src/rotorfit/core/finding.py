@@ -76,11 +76,12 @@ def _of_all(group: Sequence[Finding]) -> Finding:
         later = [line.removeprefix(log) for line in later]  # all of one log
     evidence = ";\n".join([told[0], *later])
     effect, remedy = (_of(str(first.axis), _axes(group), text) for text in (first.effect, first.remedy))
-    return replace(first, evidence=evidence, effect=effect, remedy=remedy, axis=None)
+    alone = first.axis if {finding.axis for finding in group} == {first.axis} else None  # on several flights
+    return replace(first, evidence=evidence, effect=effect, remedy=remedy, axis=alone)
 
 
 def _axes(group: Sequence[Finding]) -> str:
-    return listed([str(finding.axis) for finding in group])
+    return listed(list(dict.fromkeys(str(finding.axis) for finding in group)))
 
 
 def _of(axis: str, other: str, text: str) -> str:
