@@ -169,6 +169,12 @@ def test_axes_of_which_the_same_is_known_share_a_sentence() -> None:
 def test_a_wrong_frame_of_the_plane_is_the_reason_and_spoils_nothing_else() -> None:
     exchanged = replace(finding("error", None), code="axes_exchanged")
 
-    found = summary_of_model(model({"z": axis(), "yaw": axis()}, [exchanged]))
+    flown = replace(
+        model({"z": axis(), "yaw": axis()}, [exchanged]), flights=(Source("a.bag", "0" * 64, (0.0, 30.0), axes=AXES),)
+    )
+
+    found = summary_of_model(flown)
     assert "No numbers: the card reads x and y in a wrong frame." in found
     assert "Do not use x and y before you have read the findings." in found
+    still = replace(flown, flights=(replace(flown.flights[0], axes=("x", "z", "yaw")),))
+    assert "No numbers: no flight excites y; the card reads x in a wrong frame." in summary_of_model(still)

@@ -614,8 +614,9 @@ def test_half_a_turn_of_the_pose_is_named_before_a_fit(tmp_path: Path) -> None:
     assert all(one["remedy"].endswith("turn yaw by half a turn") for one in told.values())
 
 
-def test_commands_that_only_hold_the_vehicle_in_wind_have_no_sign(tmp_path: Path) -> None:
-    windy, loop = Truth(wind_sigma=(0.3,) * 4), Controller(2.0, 2.5)
+@pytest.mark.parametrize("loop", [Controller(2.0, 2.5), Controller(0.05, 1.0)])
+def test_commands_that_only_hold_the_vehicle_in_wind_have_no_sign(loop: Controller, tmp_path: Path) -> None:
+    windy = Truth(wind_sigma=(0.3,) * 4)
     held = Csv(simulate_flight(windy, steps(("x",), seed=3), 50.0, 3, controller=loop))
 
     assert not {code for code, _ in said("info", *held.write(tmp_path))} & SIGNS

@@ -149,13 +149,15 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found = list(told)
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
+    misread = wrong if any(one.code in WRONG_FRAME and one.severity == "error" for one in found) else ()
     stamped = {finding.code for finding in told}.isdisjoint(OTHER_STAMPS)
     overturned = any(finding.code == OVERTURNED for finding in found)
     clocked = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
-        found += () if name in wrong else _status_findings(name, axis, flights, fit.remarks.get(name, ""))
+        if not (name in misread and axis.status["input"] == "not_excited"):
+            found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
         found += _event_findings(name, axis, flights)
         changed = list(changed_coefficients(fit, name)) if name not in wrong else []
         if axis.predictor and name not in wrong:

@@ -55,8 +55,9 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool =
         said.format(listed([a for a in partly if known[a] == said])) for said in dict.fromkeys(known.values())
     ]
     unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
-    if any(finding.code in WRONG_FRAME for finding in model.findings):
-        unknown |= {axis: _MISREAD for axis in ("x", "y") if unknown.get(axis) == "not_excited"}
+    if any(finding.code in WRONG_FRAME and finding.severity == "error" for finding in model.findings):
+        served = {axis for flight in model.flights for axis in flight.axes}
+        unknown |= {axis: _MISREAD for axis in ("x", "y") if axis in served and unknown.get(axis) == "not_excited"}
     groups = {why: [axis for axis, status in unknown.items() if status == why] for why in _REASONS}
     told = {why: listed(group, "and" if why == _MISREAD else "or") for why, group in groups.items() if group}
     if reasons := [_REASONS[why].format(names) for why, names in told.items()]:

@@ -44,9 +44,9 @@ EXPLAINED = 0.3
 """Share of the variance of the velocity that commands must explain: the commands of a loop that only holds position
 follow the motion, and their sign is that of the loop."""
 
-AT_ONCE = 0.8
+AT_ONCE = 0.95
 """The same where the motion goes against a command within `QUICKEST`: so it does in a loop that holds the vehicle in
-wind, whose commands explain 0.3 to 0.55 of it; a vehicle takes longer, or its commands explain nearly all."""
+wind, whose commands explain 0.3 to 0.92 of it; a vehicle takes longer, or its commands explain nearly all."""
 
 CLEARLY = 1.5
 """Least ratio of the significance of one axis to that of any other for a command to belong to it."""

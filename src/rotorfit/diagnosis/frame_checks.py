@@ -27,7 +27,6 @@ from rotorfit.core.plain import toml_text
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.command_response import SIGNIFICANT, TURNING, Answers, CommandResponse, answers_of, thinned
 from rotorfit.diagnosis.motion_checks import LAGS, lagged_command
-from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.diagnosis.recording import Recording
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import column
@@ -523,11 +522,10 @@ def sign_findings(recording: Recording) -> Iterator[Finding]:
     told, height = recording.answers.of, height_sign(recording.flight)
     turned = overturned(told, height) if card.command_frame == "heading" else ()
     backwards = [name for name, answer in told.items() if answer.axis == name and answer.sign < 0]
-    held = restored_axes([recording.flight], backwards)
     known = {name: name in backwards for name, answer in told.items() if answer.axis == name}
     for name in backwards:
         channel = card.command.get(name)
-        if channel is None or name in (*turned, *held):
+        if channel is None or name in turned:
             continue
         yield Finding(
             "sign_flipped",

@@ -518,7 +518,8 @@ class Following:
         }
         damping = {axis: damping_interval(one, widened[axis]) for axis, one in known_wind.items()}
         moving, air, self.courses = courses(flight, vehicles, damping)
-        self.doubt = doubts_of(flight, known_wind, widened, moving)
+        doubts = doubts_of(flight, vehicles, widened, moving)
+        self.doubt = {axis: doubts[axis] for axis in known_wind if axis in doubts}
         axes = {
             axis: self._axis(flight, axis, now, known.get(axis), report.get(axis), moving.get(axis))
             for axis in flight.axes
