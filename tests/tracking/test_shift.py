@@ -86,3 +86,14 @@ def test_where_no_window_shows_the_coefficients_there_is_no_interval(both: list[
     now = float(both[0].time[-1])
 
     assert shift_interval(both, ("x.delay",), (now - 2.0, now), now - 2.0) is None
+
+
+def test_an_instant_after_which_hardly_anything_shows_a_shift_does_not_open_the_interval(both: list[Scores]) -> None:
+    """The flat prior of a size made the least telling of them the likeliest: -54 to 136."""
+    now = float(both[0].time[-1])
+    begun = now - 1.2
+
+    for seed in range(3):
+        found = shift_interval(shifted(both, 1.0, begun, seed), SHARED, (begun - 0.5, now), begun - 1.0)
+        assert found
+        assert 0.3 < found[0] < 1.0 < found[1] < 4.0

@@ -6,8 +6,9 @@ whitened innovations of each likelihood are
     y = X b + a Z_t + noise
 
 where X has the sensitivities of all rows to what the regime leaves unknown, b, with a flat prior, and Z_t the sum of
-those to shifts that begin at t, from the motion as it is then. For each instant the posterior of a is normal, from all
-likelihoods together; the evidence weighs it, and the interval is that of the mixture. A window from one instant, as if
+those to shifts that begin at t, from the motion as it is then. For each instant the posterior of a, normal before with a
+wide standard deviation, is normal, from all likelihoods together; the evidence weighs it, and the interval is that of
+the mixture. A window from one instant, as if
 the vehicle had always been the new one, finds 10 % less of a delay after 2 s.
 
 Source: as for `push`.
@@ -20,6 +21,10 @@ import numpy as np
 from rotorfit.tracking.changes import variance_along
 from rotorfit.tracking.instant import instants_of, mixture_interval, now_of, unexplained
 from rotorfit.tracking.scores import Scores
+
+WIDE = 3.0
+"""Standard deviation of a shift before it is looked for, in units of `scores.EXPECTED`. Without it the evidence of an
+instant would grow without bound the less its rows tell of a shift, such as the last ones of `since`."""
 
 CURVED = 0.1
 """Error of the first-order shift over the square of the shift, both in units of `scores.EXPECTED`."""
@@ -41,7 +46,7 @@ def shift_interval(
     if not known:
         return None
     instants = instants_of(known[0][0], since)
-    product, precision = np.zeros(instants.size), np.full(instants.size, np.finfo(float).tiny)
+    product, precision = np.zeros(instants.size), np.full(instants.size, WIDE**-2)
     for scores, way, variance in known:
         now = now_of(scores)
         along, power = unexplained(now, np.array([now.begun(instant, 0.0) @ way for instant in instants]))
