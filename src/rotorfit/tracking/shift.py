@@ -6,10 +6,10 @@ whitened innovations of each likelihood are
     y = X b + a Z_t + noise
 
 where X has the sensitivities of all rows to what the regime leaves unknown, b, with a flat prior, and Z_t the sum of
-those to shifts that begin at t, from the motion as it is then. For each instant the posterior of a, normal before with a
-wide standard deviation, is normal, from all likelihoods together; the evidence weighs it, and the interval is that of
-the mixture. A window from one instant, as if
-the vehicle had always been the new one, finds 10 % less of a delay after 2 s.
+those to shifts that begin at t, from the motion as it is then. The shift a is normal beforehand, with a wide standard
+deviation, and so it is afterwards for each instant, from all likelihoods together; the evidence weighs the instants,
+and the interval is that of the mixture. A window from one instant, as if the vehicle had always been the new one, finds
+10 % less of a delay after 2 s.
 
 Source: as for `push`.
 """
