@@ -135,7 +135,7 @@ def _motion() -> None:
     import numpy as np
 
     from rotorfit.core.laws import FIRST_ORDER_DELAY, law_of
-    from rotorfit.dynamics.disturbance import distinct_steps
+    from rotorfit.dynamics.disturbance import distinct_steps, step_tables
     from rotorfit.dynamics.disturbance_state import disturbance_states
     from rotorfit.dynamics.motion_filter import motion_filter
 
@@ -146,7 +146,9 @@ def _motion() -> None:
     running = motion_filter(0.0, at_rest, at_rest, 0.0, *commands, laws, levels, np.ones(2, dtype=bool), True)
     running.follow(*poses, *commands)
     running.motion(*commands)
-    disturbance_states(*distinct_steps(flight.pose_time), flight.yaw, np.ones(flight.yaw.size), levels[0])
+    steps, step = distinct_steps(flight.pose_time)
+    disturbance_states(steps, step, flight.yaw, np.ones(flight.yaw.size), levels[0])
+    step_tables(steps, *levels[0, 2:])
 
 
 def _checks() -> None:
