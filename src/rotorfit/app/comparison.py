@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from rotorfit.app.workflows import part_of_model, validate_logs
 from rotorfit.assessment.case import reservations, same_motion
-from rotorfit.assessment.paired import paired_test
+from rotorfit.assessment.paired import paired_scores
 from rotorfit.assessment.validation import to_mapping
 from rotorfit.core.card import Card
 from rotorfit.core.display import FrameLibrary, columns_of, frame
@@ -150,11 +150,8 @@ def _paired(validations: Sequence[Validation], alike: Sequence[bool]) -> tuple[P
     for number, (validation, same) in enumerate(zip(validations, alike, strict=True), 1):
         others = [("model 1", first.flights, first.errors["model"])] if same and number > 1 else []
         others += [(name, validation.baselines[name], validation.errors[name]) for name in ("hold", "paper")]
-        for name, scores, errors in others:
-            pairs = list(zip(validation.flights, scores, strict=True))
-            counted = [() if a.fitted or b.fitted else a.moved for a, b in pairs]
-            unlike = [a.unlike(b) for a, b in pairs]
-            tests.append(paired_test((f"model {number}", name), validation.errors["model"], errors, counted, unlike))
+        own = validation.flights, validation.errors["model"]
+        tests += [paired_scores((f"model {number}", name), own, (scores, errors)) for name, scores, errors in others]
     return tuple(tests)
 
 

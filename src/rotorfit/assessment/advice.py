@@ -23,7 +23,7 @@ from rotorfit.core.model import Axis, with_findings
 from rotorfit.core.results import Fit
 from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.doctor import SHORT_TIME
-from rotorfit.diagnosis.frame_checks import OVER, or_the_pose
+from rotorfit.diagnosis.frame_checks import OVER, remedy_in_the_pose
 from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
@@ -272,7 +272,7 @@ def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
     points = {axis: contradicted(one) or one.predictor for axis, one in fit.model.axes.items()}
     backwards = {axis: point.input < 0 for axis, point in points.items() if point}
     turning = max((float(np.std(flight.yaw)) for flight in fit.flights), default=0.0)
-    pose = or_the_pose(name, backwards, turning, fit.model.card.frame)
+    pose = remedy_in_the_pose(name, backwards, turning, fit.model.card.frame)
     yield Finding(
         "sign_flipped",
         "warning",

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from rotorfit.assessment.paired import paired_test
+from rotorfit.assessment.paired import paired_scores
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import Meaning, meaning_of
@@ -87,9 +87,6 @@ def paired_cases(cases: Sequence[Case]) -> dict[tuple[int, int], PairedTest]:
         one, other = cases[i], cases[j]
         if not one.flights or not all(map(same_motion, one.flights, other.flights)):
             continue
-        scored = zip(one.validation.flights, other.validation.flights, strict=True)
-        counted = [() if a.fitted or b.fitted else a.moved for a, b in scored]
-        unlike = [a.unlike(b) for a, b in zip(one.validation.flights, other.validation.flights, strict=True)]
-        first, second = (case.validation.errors["model"] for case in (one, other))
-        tests[i, j] = paired_test((one.path, other.path), first, second, counted, unlike)
+        first, second = ((each.validation.flights, each.validation.errors["model"]) for each in (one, other))
+        tests[i, j] = paired_scores((one.path, other.path), first, second)
     return tests

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit.assessment.innovations import placed
-from rotorfit.assessment.paired import paired_test
+from rotorfit.assessment.paired import paired_scores
 from rotorfit.assessment.validation import validate
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
@@ -99,10 +99,8 @@ def require_two(count: int) -> None:
 def _paired(
     errors: Sequence[Mapping[str, Mapping[str, StartErrors]]], scores: Mapping[str, Sequence[FlightScores]], name: str
 ) -> PairedTest:
-    own, other = scores["model"], scores[name]
-    unlike = [a.unlike(b) for a, b in zip(own, other, strict=True)]
-    first, second = ([each[which] for each in errors] for which in ("model", name))
-    return paired_test(("model", name), first, second, [each.moved for each in own], unlike)
+    first, second = ((scores[which], [each[which] for each in errors]) for which in ("model", name))
+    return paired_scores(("model", name), first, second)
 
 
 def _spreads(axis: str, models: Sequence[Model], moved: Sequence[tuple[str, ...]]) -> list[LeftOut]:

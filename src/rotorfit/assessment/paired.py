@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.results import Difference, Paired, PairedTest, Quantity, StartErrors, Verdict
+from rotorfit.core.results import Difference, FlightScores, Paired, PairedTest, Quantity, StartErrors, Verdict
 from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
 from rotorfit.dynamics.protocol import LEAST_SCORES, START_EVERY
 
@@ -79,6 +79,23 @@ def paired_test(
             for axis in AXES
         },
     )
+
+
+def paired_scores(
+    names: tuple[str, str],
+    first: tuple[Sequence[FlightScores], Errors],
+    second: tuple[Sequence[FlightScores], Errors],
+) -> PairedTest:
+    """`paired_test` of two predictors by the scores of the flights that go with their errors.
+
+    Args:
+        names: As for `paired_test`.
+        first: Scores and errors of the one that is judged, one of each per flight.
+        second: The same of the other, on the same flights.
+    """
+    pairs = list(zip(first[0], second[0], strict=True))
+    counted = [() if one.fitted or other.fitted else one.moved for one, other in pairs]
+    return paired_test(names, first[1], second[1], counted, [one.unlike(other) for one, other in pairs])
 
 
 def _compared(

@@ -10,7 +10,7 @@ from rotorfit.assessment.frequency.comparison import findings_of_responses, resp
 from rotorfit.assessment.frequency.loop import findings_of_loops
 from rotorfit.assessment.innovations import residual_tests_of_flight, unclocked, was_fitted
 from rotorfit.assessment.mismatch import findings_of_mismatch
-from rotorfit.assessment.paired import paired_test
+from rotorfit.assessment.paired import paired_scores
 from rotorfit.assessment.whiteness import findings_of_residuals
 from rotorfit.core import parallel
 from rotorfit.core.error_bands import BandScore
@@ -136,7 +136,6 @@ def validate_chosen(
     responses = response_test(model, flights)
     misread = [tuple(findings_of_mismatch(model, flight)) for flight in flights]
     touched = [_touched(each) for each in misread]  # of these axes a flight says nothing about the model
-    counted = tuple(() if each.fitted else each.moved for each in scores["model"])
     found = [
         finding
         for flight, axes, wrong in zip(flights, tests, touched, strict=True)
@@ -156,14 +155,12 @@ def validate_chosen(
     found += alone_in_the_plane(known, flights)
     found += findings_of_loops(flights, known, max(horizons))
     found = [*(one for each in misread for one in each), *sorted(found, key=lambda finding: finding.severity == "info")]
-    unlike = {name: [a.unlike(b) for a, b in zip(scores["model"], scores[name], strict=True)] for name in BASELINES}
+    own = scores["model"], errors["model"]
     return Validation(
         flights=tuple(scores["model"]),
         baselines={name: tuple(scores[name]) for name in BASELINES},
         errors={name: tuple(each) for name, each in errors.items()},
-        paired=tuple(
-            paired_test(("model", name), errors["model"], errors[name], counted, unlike[name]) for name in BASELINES
-        ),
+        paired=tuple(paired_scores(("model", name), own, (scores[name], errors[name])) for name in BASELINES),
         residuals=tuple(tests),
         findings=tuple(found),
         responses=responses,
@@ -303,13 +300,12 @@ def _score_flight(
     wanted |= {"model": known, "hold": np.ones(4, bool)}
     turning = dict.fromkeys(errors, bool(known[AXES.index("yaw")])) | {"paper": "yaw" in paper}
     empty = AxisScore({f"{h:g}": Horizon(None, None, 0) for h in horizons}, None)
-    out = {}
+    fitted, turned, out = was_fitted(model, flight), _turn(flight), {}
     for name, pieces in errors.items():
         every = joined(pieces, horizons)
         axes = {a: score if wanted[name][k] else empty for k, (a, score) in enumerate(scores_of(every).items())}
         heading: Literal["predicted", "measured"] = "predicted" if turning[name] else "measured"
-        fitted = was_fitted(model, flight)
-        scores = FlightScores(flight.path, flight.span, axes, heading, fitted, flight.moved, _turn(flight), flight.held)
+        scores = FlightScores(flight.path, flight.span, axes, heading, fitted, flight.moved, turned, flight.held)
         out[name] = scores, {f"{h:g}": _known_errors(each, wanted[name]) for h, each in every.starts.items()}
     return out, band_scores(bands)
 

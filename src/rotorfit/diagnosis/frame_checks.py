@@ -495,7 +495,7 @@ def overturned(told: Mapping[str, CommandResponse], height: int) -> tuple[str, .
     return () if kept or len(turned) < (1 if height < 0 else 2) else turned
 
 
-def or_the_pose(name: str, backwards: Mapping[str, bool], turning: float, frame: str) -> str:
+def remedy_in_the_pose(name: str, backwards: Mapping[str, bool], turning: float, frame: str) -> str:
     """How the pose, instead of the command, would explain that an axis moves backwards; empty where it would not.
 
     Args:
@@ -533,7 +533,7 @@ def sign_findings(recording: Recording) -> Iterator[Finding]:
             f"the command of {name} moves the vehicle the other way ({told[name].certainty:.0f} standard errors)",
             f"the input gain of {name} comes out negative; delay and damping keep their values",
             f"give {name} in [command] of the card scale = {-channel.scale:g} (now {channel.scale:g})"
-            + or_the_pose(name, known, float(np.std(recording.flight.yaw)), card.frame),
+            + remedy_in_the_pose(name, known, float(np.std(recording.flight.yaw)), card.frame),
             name,
         )
     if not turned:

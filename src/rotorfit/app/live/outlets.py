@@ -235,7 +235,7 @@ class Remembering:
         """Does nothing: the memory is taken with the samples."""
 
     def _all(self) -> Mapping[str, Any]:
-        """The memory of the tracker, and of the gains."""
+        """The memory of the tracker, and of the gains; a file of gains may hold dates, which JSON has as text."""
         gains = {"gains": np.array(json.dumps(self._regaining.memory(), default=str))} if self._regaining else {}
         return {**self._tracker.memory(), **gains}
 

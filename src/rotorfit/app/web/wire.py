@@ -252,7 +252,7 @@ def compared_mapping(
         {**test, "first": named[test["first"]], "second": named.get(test["second"], test["second"])}
         for test in whole["paired"]
     ]
-    alike = [f"fit {fit}" for fit, model in zip(fits, models, strict=True) if _is_the_baseline(model)]
+    alike = [f"fit {fit}" for fit, model in zip(fits, models, strict=True) if model.method == "paper"]
     notes = [re.sub(r"\bmodel \d+\b", lambda found: named[found[0]], note) for note in whole["notes"]]
     return {
         "columns": list(columns),
@@ -260,11 +260,6 @@ def compared_mapping(
         "paired": [test for test in paired if test["second"] != "paper" or test["first"] not in alike],
         "notes": [*notes, *(f"{name} against paper is left out: they are the same predictions" for name in alike)],
     }
-
-
-def _is_the_baseline(model: Model) -> bool:
-    """Whether a model is its own baseline `paper`."""
-    return model.method == "paper"
 
 
 def _fitted(number: int, models: Iterable[Sequence[Any]]) -> list[bool]:
