@@ -4,7 +4,7 @@
 
 Every flight, or part of one, of `bench_real_coverage.py` is fitted alone (whose cache this reads). Of every two, and
 every three, of a vehicle the next flight is predicted by `random_effects`, as a fit of several flights does it: from
-their values, their errors (this flight) and the mean of their factors D from the tests of the law. Every other flight
+their values, their errors (this flight) and the mean variance that the tests of the law added. Every other flight
 of the vehicle is then compared with that, allowing for its own error times its own D:
 
     z = 1.96 |mean - y| / sqrt(h^2 + (1.96 s D)^2),     h the half width of the interval of the next flight
@@ -83,9 +83,9 @@ def compared(name: str, given: Sequence[Told], others: Sequence[Told]) -> Iterat
     """The other flights of a vehicle beside what is predicted from the given ones."""
     y, s = (np.array([getattr(one, what) for one in given]) for what in ("value", "error"))
     together = float(np.sum(s**-2.0) ** -0.5)
-    found = random_effects(y, s, spread_scale(name) * together * math.sqrt(len(y)))
-    unfit = (float(np.mean([one.doubt for one in given])) ** 2 - 1) * together**2
-    half = NORMAL * math.sqrt(found.next_sd**2 + unfit)
+    law = math.sqrt(float(np.mean([(one.doubt**2 - 1) * one.error**2 for one in given])))
+    found = random_effects(y, s, spread_scale(name) * together * math.sqrt(len(y)), law)
+    half = NORMAL * math.hypot(found.next_sd, law)
     wide = max(half, hartung_knapp(y, s, found.reml)) if found.p_value < 0.05 else half
     for other in others:
         off, own = NORMAL * abs(found.mean - other.value), NORMAL * other.error * other.doubt

@@ -39,7 +39,7 @@ def test_halves_of_a_steady_flight_agree_and_each_tells_the_truth() -> None:
 
     assert found.degrees == 3
     assert found.probability > 0.01
-    for part in found.parts:
+    for part in found.halves[0]:
         assert part.theta[0] == pytest.approx(GAMMA_B[4], abs=4 * np.sqrt(part.covariance[0, 0]))
     assert list(changed_coefficients(result, "z")) == []
 
@@ -48,7 +48,7 @@ def test_a_gain_that_rises_by_a_fifth_in_the_middle_is_told_with_both_values() -
     result, found = checked(louder(flight(), 30.0, 1.2))
 
     assert found.probability < LEVEL
-    first, second = found.parts
+    first, second = found.halves[0]
     assert second.theta[0] / first.theta[0] == pytest.approx(1.2, abs=0.06)
     (told,) = changed_coefficients(result, "z")
     assert f"{first.theta[0]:.3g}" in told.evidence
@@ -58,7 +58,18 @@ def test_a_gain_that_rises_by_a_fifth_in_the_middle_is_told_with_both_values() -
 def test_halves_of_several_flights_are_tested_together() -> None:
     _, found = checked(flight(2), flight(3))
 
-    assert (len(found.parts), found.degrees) == (4, 9)
+    assert (len(found.halves), found.degrees) == (2, 6)
+
+
+def test_flights_that_differ_do_not_change_within_and_the_one_that_does_is_named() -> None:
+    one, other = flight(2), louder(flight(3), 0.0, 1.3)
+    result, found = checked(one, other)
+
+    assert found.probability > 0.01
+    assert list(changed_coefficients(result, "z")) == []
+    (told,) = changed_coefficients(checked(one, replace(louder(other, 30.0, 1.2), path="logs/late.bag"))[0], "z")
+    assert "most in late.bag" in told.evidence
+    assert "track logs/late.bag" in told.remedy
 
 
 def test_halves_of_a_gusty_flight_keep_the_prior_of_the_lag() -> None:
@@ -67,7 +78,7 @@ def test_halves_of_a_gusty_flight_keep_the_prior_of_the_lag() -> None:
 
     assert result.model.axes["z"].structure == "first_order_delay_lag"
     assert found is not None  # without it neither half tells the input from damping and lag
-    assert len(found.parts) == 2
+    assert len(found.halves) == 1
 
 
 def test_flights_too_short_for_halves_and_the_papers_method_are_not_checked() -> None:
@@ -102,6 +113,6 @@ def test_halves_that_slow_commands_let_wander_along_a_curve_are_not_told_as_a_ch
     truth = Truth(gamma=list(STABLE.values())[2], delay=(0.2,) * 4)
     _, found = checked(flown(truth, two_sines, 60.0, 64), flown(truth, steps(seed=7), 50.0, 65))
 
-    gains = [part.theta[0] for part in found.parts]
+    gains = [part.theta[0] for halves in found.halves.values() for part in halves]
     assert max(gains) > 2 * min(gains)  # far apart, by errors that hold only near each
     assert found.probability > 0.01

@@ -116,6 +116,48 @@ def test_flights_of_different_vehicles_widen_the_interval_by_what_they_differ() 
     assert spread.p_value < 1e-6
 
 
+def test_flights_that_differ_are_no_evidence_against_the_law() -> None:
+    result = of_vehicles(1.0, 1.1, 0.9, 1.2)
+    axis = result.model.axes["z"]
+
+    assert axis.evidence == ()
+    assert axis.status == dict.fromkeys(COEFFICIENTS, "ok")
+    told = {one.code for one in findings_of_fit(result) if one.axis == "z"}
+    assert "flights_disagree" in told
+    assert not any(code.startswith("law_") for code in told)
+    for name in ("damping", "delay"):  # which do not differ
+        assert ratio(axis, name) < 1.6
+
+
+def test_flights_that_differ_do_not_hide_that_each_disobeys_the_law() -> None:
+    flights = [flown_by("quadratic_drag", duration=40.0, seed=seed) for seed in (1, 2)]
+    flights[1] = replace(flights[1], command=flights[1].command / 1.1)
+
+    axis = fit(flights, axes=("z",), structure="first_order_delay").model.axes["z"]
+
+    assert {one.test for one in axis.evidence} >= {"size"}
+    assert axis.spread["input"].flights_sd == pytest.approx(np.log(1.1) / np.sqrt(2), rel=0.5)
+
+
+def test_parts_are_compared_within_their_flights() -> None:
+    """Two flights put a quantity 20 standard errors apart, and what was flown in each changes it by 12 or by none."""
+    for size, found in ((12.0, True), (0.0, False)):
+        rng, flights, labels = np.random.default_rng(6), [], []
+        for level in (-10.0, 10.0):
+            label = np.repeat([0, 1], 500)
+            weight = np.full((1000, 1, 1), 2000**-0.5)
+            effect = (level + size * (label - 0.5))[:, None] * weight[:, :, 0]
+            flights.append(
+                Weighted(np.arange(1000.0), rng.standard_normal((1000, 1)) + effect, weight, weight, np.zeros(1))
+            )
+            labels.append(label)
+        test = agreement({"input": estimates_of_parts(flights, labels, 0, 1.0)}, lambda _name: 0.3)["input"]
+
+        assert test.freedom == 1
+        assert (test.p_value < 1e-3) == found
+        assert (test.sd > 1.0) == found
+
+
 def test_flights_in_gusts_tell_the_input_apart_since_each_keeps_the_prior_of_the_lag() -> None:
     flights = [flown_by("first_order_delay_lag", duration=20.0, seed=s, wind=1.0, noise=0.005) for s in (1, 2, 3)]
     axis = fit(flights, axes=("z",)).model.axes["z"]
@@ -223,7 +265,7 @@ def test_a_coefficient_that_drifts_is_found_however_long_the_flight_is() -> None
     noise = np.random.default_rng(5).standard_normal((time.size, 1))
     commands = SimpleNamespace(command_time=time, command=np.sin(time)[:, None])
     for innovation, found in ((noise + drift, True), (noise, False)):
-        flight = Weighted(time, innovation, weight, weight)
+        flight = Weighted(time, innovation, weight, weight, np.zeros(1))
         parts = estimates_of_parts([flight], cuts([commands], [flight], 0)["time"], 0, 1.0)  # type: ignore[list-item]
         test = agreement({"input": parts}, lambda _name: 1.0)["input"]
 

@@ -76,6 +76,24 @@ def test_a_mixture_holds_95_per_cent() -> None:
     assert np.mean(np.abs(sd * rng.standard_normal(sd.size)) < half) == pytest.approx(0.95, abs=0.002)
 
 
+@pytest.mark.parametrize("flights", [4, 12])
+def test_flights_that_differ_by_far_more_than_the_prior_expects_overrule_it(flights: int) -> None:
+    """By three standard errors, ten times its scale: the half t alone holds 77 and 90 % (seed 1)."""
+    rng, inside, count = np.random.default_rng(1), 0, 400
+    for _ in range(count):
+        told = random_effects(rng.normal(0.0, np.hypot(1.0, 3.0), flights), np.ones(flights), 0.3)
+        inside += abs(told.mean) < NORMAL * told.sd
+    assert inside / count > {4: 0.83, 12: 0.91}[flights]
+
+
+def test_what_errors_of_the_law_explain_is_not_taken_for_a_spread() -> None:
+    value, error = np.array([-3.0, 0.0, 3.0]), np.ones(3)
+
+    alone, explained = random_effects(value, error, 0.3), random_effects(value, error, 0.3, law=3.0)
+    assert explained.spread < 0.3 < 1.0 < alone.spread
+    assert (explained.p_value, explained.reml) == (alone.p_value, alone.reml)
+
+
 def test_precise_flights_that_differ_by_a_hundred_standard_errors_have_that_spread() -> None:
     found = random_effects(np.array([0.0, 0.4, 0.12, 0.32, 0.2]), np.full(5, 0.003), 0.001)
 

@@ -1,12 +1,14 @@
 """Whether the coefficients stay the same within a flight: its halves are fitted separately and compared.
 
+Halves of different flights are not compared: how much flights differ is in the spread between them.
+
 Also how many events the commands hold: a model's errors average out over events, and with one event they do not.
 
 A likelihood counts every pose, even if all of them show the response to the only stick tap of the flight. Its interval
 is right if the model is; what the model leaves out changes from tap to tap, and only several taps show it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,17 +63,17 @@ class Part:
 
 @dataclass(frozen=True)
 class Constancy:
-    """Test whether the parts of the flights have the same coefficients.
+    """Test whether both halves of each flight have the same coefficients.
 
     Attributes:
-        parts: The fitted parts.
-        chi_square: Sum of the squared deviations from their weighted mean, or what common coefficients lose in
-            likelihood, whichever is less likely to reject.
+        halves: The fitted halves of each flight of which both were, by its place.
+        chi_square: Sum of the squared deviations from the weighted mean of their flight, or what common coefficients
+            lose in likelihood, whichever is less likely to reject.
         degrees: Degrees of freedom.
         probability: Probability of a larger sum if the coefficients are the same.
     """
 
-    parts: tuple[Part, ...]
+    halves: Mapping[int, tuple[Part, Part]]
     chi_square: float
     degrees: int
     probability: float
@@ -94,15 +96,13 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
     found = constancy(serving, estimate, axis)
     if found is None or found.probability > LEVEL:
         return
-    gains, dampings, delays = np.array([[p.theta[0], np.exp(p.theta[1]), p.theta[2]] for p in found.parts]).T
-    change = max(np.ptp(gains) / abs(gains.mean()), np.ptp(dampings) / dampings.mean(), 10 * np.ptp(delays))
-    if change < LEAST_CHANGE:
+    if max(_change(*halves) for halves in found.halves.values()) < LEAST_CHANGE:
         return
-    log = serving[0].path if len(serving) == 1 else "LOG"
-    told = "; ".join(
-        f"{p.start:.0f} to {p.end:.0f} s: {g:.3g}, {b:.3g} 1/s, {tau:.3f} s"
-        for p, g, b, tau in zip(found.parts, gains, dampings, delays, strict=True)
-    )
+    worst = max(found.halves, key=lambda place: _apart(*found.halves[place]))
+    log = serving[worst].path
+    told = "; ".join(_told(part) for part in found.halves[worst])
+    if len(serving) > 1:
+        told = f"most in {log.rsplit('/', 1)[-1]}: {told}"
     yield Finding(
         "coefficients_change",
         "warning",
@@ -113,6 +113,18 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
         "--span; if it raises no alarm, look for what varies: battery, speed range, a clock, the latency of the link",
         axis,
     )
+
+
+def _change(first: Part, second: Part) -> float:
+    """Relative change of input gain or damping between the halves of a flight, or ten times that of the delay [s]."""
+    gain, log_damping, delay = np.abs(second.theta - first.theta)
+    middle = abs(first.theta[0] + second.theta[0]) / 2
+    return float(max(gain / middle, 2 * np.tanh(log_damping / 2), 10 * delay))
+
+
+def _told(part: Part) -> str:
+    gain, log_damping, delay = part.theta
+    return f"{part.start:.0f} to {part.end:.0f} s: {gain:.3g}, {np.exp(log_damping):.3g} 1/s, {delay:.3f} s"
 
 
 def constancy(flights: Sequence[Flight], estimate: Estimate, axis: str) -> Constancy | None:
@@ -127,26 +139,30 @@ def constancy(flights: Sequence[Flight], estimate: Estimate, axis: str) -> Const
         axis: Name of the axis.
 
     Returns:
-        The test; None if fewer than two halves are long enough and determine their coefficients.
+        The test; None if of no flight both halves are long enough and determine their coefficients.
 
     Source: the chi-square test of homogeneity of independent estimates; W. G. Cochran, Biometrics 10 (1954), p. 101.
     """
     from scipy.special import chdtrc
 
-    halves = [half for flight in flights for half in _halves(flight)]
-    parts = [part for half in halves if (part := _fitted(half, estimate, axis))]
-    if len(parts) < 2:
+    fitted = [[_fitted(half, estimate, axis) for half in _halves(flight)] for flight in flights]
+    both = {place: (one[0], one[1]) for place, one in enumerate(fitted) if len(one) == 2 and one[0] and one[1]}
+    if not both:
         return None
-    weights = [np.linalg.inv(part.covariance) for part in parts]
-    mean = np.linalg.solve(sum(weights), sum(w @ p.theta for w, p in zip(weights, parts, strict=True)))
-    square = sum(float((p.theta - mean) @ w @ (p.theta - mean)) for w, p in zip(weights, parts, strict=True))
-    degrees = 3 * (len(parts) - 1)
-    found = Constancy(tuple(parts), square, degrees, float(chdtrc(degrees, square)))
+    square, degrees = sum(_apart(*halves) for halves in both.values()), 3 * len(both)
+    found = Constancy(both, square, degrees, float(chdtrc(degrees, square)))
     if found.probability > LEVEL:
         return found
-    lost, degrees = _lost_together(parts, estimate)
-    together = Constancy(tuple(parts), lost, degrees, float(chdtrc(degrees, lost)))
+    lost, free = zip(*(_lost_together(halves, estimate) for halves in both.values()), strict=True)
+    together = Constancy(both, sum(lost), sum(free), float(chdtrc(sum(free), sum(lost))))
     return max(found, together, key=lambda one: one.probability)
+
+
+def _apart(*halves: Part) -> float:
+    """Sum of the squared deviations of two halves from their weighted mean, in standard errors."""
+    weights = [np.linalg.inv(part.covariance) for part in halves]
+    mean = np.linalg.solve(sum(weights), sum(w @ p.theta for w, p in zip(weights, halves, strict=True)))
+    return sum(float((p.theta - mean) @ w @ (p.theta - mean)) for w, p in zip(weights, halves, strict=True))
 
 
 def _lost_together(parts: Sequence[Part], estimate: Estimate) -> tuple[float, int]:

@@ -81,7 +81,7 @@ def _between_filters(
     """The comparison with other filters, in an open loop."""
     found: dict[str, Homogeneity] = {}
     for factor in OTHER_FILTERS:
-        other = _contributions(estimate, list(wanted.values()), factor)
+        other = _contributions(estimate, list(wanted.values()), factor, [one.own for one in weighted])
         apart = [theirs - _own(ours) for theirs, ours in zip(other, weighted, strict=True)]
         total = np.sum([part.sum(axis=0) for part in apart], axis=0)
         parts = zip(weighted, apart, strict=True)
@@ -90,8 +90,8 @@ def _between_filters(
             half = float(np.sqrt(max(spread[q, q], 0.0) / 2)) / errors[name]
             if not (np.isfinite(total[q]) and half > 0):
                 continue
-            pair = np.array([0.0, float(total[q]) / errors[name]])
-            one = homogeneity_of(pair, np.array([half, half]), spread_scale(name))
+            apart = float(total[q]) / (np.sqrt(2) * errors[name])
+            one = homogeneity_of(np.array([apart]), np.array([half]), spread_scale(name))
             if name not in found or one.sd > found[name].sd:
                 found[name] = one
     return found
@@ -102,15 +102,18 @@ def _own(one: Weighted) -> Array:
     return np.asarray(np.einsum("bk,bkq->bq", one.innovation, one.weight))
 
 
-def _contributions(estimate: Estimate, wanted: Sequence[Estimand], factor: float) -> list[Array]:
-    """Contribution of each block to the step to the root under another filter, per flight (B, Q)."""
+def _contributions(estimate: Estimate, wanted: Sequence[Estimand], factor: float, own: Sequence[Array]) -> list[Array]:
+    """Contribution of each block to the step to the root under another filter, per flight (B, Q).
+
+    Each flight's is from its own parameters, which `own` steps to: flights that differ do not make the filters differ.
+    """
     point = estimate.optimum.point
     levels = point.levels.copy()
     levels[:, 1] += np.log(factor)
     moved = replace(point, levels=levels)
     there = score(estimate.records, moved)
     optimum = replace(estimate.optimum, point=moved, score=there)
-    seen = weighted_innovations(replace(estimate, optimum=optimum), wanted)
+    seen = weighted_innovations(replace(estimate, optimum=optimum), wanted, own)
     return [_own(one) for one in seen]
 
 

@@ -114,8 +114,9 @@ def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[di
         ends = axis.ci95[part] if part in axis.ci95 else axis.combinations[part].ci95
         below, above = half_widths(one, ends)
         own = (_times(below, wider[part]), _times(above, wider[part]))
-        evidence = _evidence(one, errors[part], alone.get(part, ()))
         factor = against.factor[part] if against else 1.0
+        law = errors[part] * float(np.sqrt(factor**2 - 1))
+        evidence = _evidence(one, errors[part], law, alone.get(part, ()))
         vague = NORMAL * errors[part] * factor > TOLERABLE[one.logarithmic]
         refuted = against is not None and vague and part in against.refuted
         out[part] = _judged(one, own, evidence, wider[part], factor, refuted)
@@ -141,14 +142,21 @@ class _Evidence:
     each: tuple[FlightValue, ...]
 
 
-def _evidence(one: Estimand, error: float, alone: Sequence[FlightValue]) -> _Evidence:
-    """Evidence of the flights that estimate a quantity; of all as one where fewer than two do."""
+def _evidence(one: Estimand, error: float, law: float, alone: Sequence[FlightValue]) -> _Evidence:
+    """Evidence of the flights that estimate a quantity; of all as one where fewer than two do.
+
+    Args:
+        one: The quantity.
+        error: Standard error of all flights together.
+        law: Standard deviation by errors of the law.
+        alone: Estimate from each flight of several.
+    """
     known = np.array([value for value in alone if value]).reshape(-1, 2)
     if len(known) < 2:
         known = np.array([[0.0, error]])
     together = float(1 / np.sqrt(np.sum(known[:, 1] ** -2.0)))
     scale = spread_scale(one.name) * together * float(np.sqrt(len(known)))
-    return _Evidence(len(known), together, scale, random_effects(known[:, 0], known[:, 1], scale), tuple(alone))
+    return _Evidence(len(known), together, scale, random_effects(known[:, 0], known[:, 1], scale, law), tuple(alone))
 
 
 def _judged(one: Estimand, own: Interval, evidence: _Evidence, wider: float, doubtful: float, refuted: bool) -> Judged:

@@ -7,11 +7,16 @@ Flight i gives y_i with standard error s_i; the vehicle on that day was mu + d_i
 tau is unknown, and two to six flights hardly identify it. Its restricted likelihood is therefore combined with a prior,
 a half Student's t whose scale comes from recorded vehicles (`spread_prior`), and the distributions of mu and of the
 next flight are averaged over the posterior of tau. One flight carries no information about tau: the posterior is the
-prior. The spread by restricted maximum likelihood, without the prior, is given in addition.
+prior. The prior of several has a small part far wider, so that flights that differ much overrule it. The spread by
+restricted maximum likelihood, without the prior, is given in addition.
+
+Where tests found errors of the law, flights may differ by as much without any spread: for tau they count as a part of
+s_i.
 
 Source: R. DerSimonian, N. Laird, Controlled Clinical Trials 7 (1986), pp. 177-188; A. Gelman, Bayesian Analysis 1
-(2006), pp. 515-533 (half t for few groups); J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, J. R. Statist. Soc.
-A 172 (2009), pp. 137-159 (next flight).
+(2006), pp. 515-533 (half t and half Cauchy for few groups); A. O'Hagan, L. Pericchi, Braz. J. Probab. Stat. 26 (2012),
+pp. 372-401 (mixtures that give way to the data); J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, J. R. Statist.
+Soc. A 172 (2009), pp. 137-159 (next flight).
 """
 
 from dataclasses import dataclass
@@ -28,8 +33,19 @@ GRID = np.concatenate([[0.0], np.geomspace(0.01, 40.0, 79), np.geomspace(44.5, 4
 """Values of the spread that are averaged over, in units of the scale of its prior. The last are for flights that are
 precise and differ by a thousand of their standard errors."""
 
+WIDE_SHARE, WIDE_SCALE = 0.05, 10.0
+"""Share of the prior of several flights that is a half Cauchy, and its scale in that of the half t."""
+
 EDGES = np.concatenate([[0.0], 0.5 * (GRID[1:] + GRID[:-1]), [GRID[-1]]])
 """Ends of the cells around these values."""
+
+ONE_FLIGHT = (1 + GRID**2 / TAIL) ** (-0.5 * (TAIL + 1))
+"""Prior density of the spread at these values: a half t, relative to its density at 0."""
+
+SEVERAL_FLIGHTS = (1 - WIDE_SHARE) * ONE_FLIGHT + WIDE_SHARE * np.sqrt(TAIL) / 2 / WIDE_SCALE / (
+    1 + (GRID / WIDE_SCALE) ** 2
+)
+"""The same of several flights, which can overrule the half t."""
 
 
 @dataclass(frozen=True)
@@ -55,17 +71,19 @@ class RandomEffects:
     p_value: float | None
 
 
-def random_effects(value: Array, error: Array, scale: float) -> RandomEffects:
+def random_effects(value: Array, error: Array, scale: float, law: float = 0.0) -> RandomEffects:
     """Mean and spread of the estimates of one quantity from several flights.
 
     Args:
         value: Estimate from each flight, shape (F,).
         error: Standard errors, shape (F,).
         scale: Scale of the half t of the spread, in the unit of the estimates.
+        law: Standard deviation that errors of the law give to each estimate, likewise.
     """
     tau = np.maximum(scale, 1e-12) * GRID
-    restricted, mean, total, misfit = _restricted(value, error, tau)
-    share = posterior(restricted)
+    _, mean, total, misfit = _restricted(value, error, tau)
+    restricted = _restricted(value, np.hypot(error, law), tau)[0]
+    share = posterior(restricted, SEVERAL_FLIGHTS if len(value) > 1 else ONE_FLIGHT)
     center = float(share @ mean)
     # the mean depends on the spread, too: its deviation is added to the variance at each spread
     spread = 1 / total + (mean - center) ** 2
@@ -87,12 +105,14 @@ def excess_spread(apart: Array, error: Array, scale: float) -> float:
     Prior and posterior are compared by the half width of the interval of a quantity whose standard error is 1.
 
     Args:
-        apart: Deviation of each part, shape (M,), in standard errors of the whole.
-        error: Standard errors of the parts, shape (M,), likewise.
+        apart: Independent differences between parts, shape (N,), in standard errors of the whole.
+        error: Their standard errors, shape (N,), likewise; the spread adds to each variance once.
         scale: Scale of the half t of the spread, likewise.
     """
     tau = np.maximum(scale, 1e-12) * GRID
-    after = mixed_half_width(1 + tau**2, posterior(_restricted(apart, error, tau)[0]))
+    variance = error[:, None] ** 2 + tau**2
+    restricted = -0.5 * (np.log(variance) + apart[:, None] ** 2 / variance).sum(axis=0)
+    after = mixed_half_width(1 + tau**2, posterior(restricted))
     before = mixed_half_width(1 + tau**2, posterior(np.zeros(tau.size)))
     return float(np.sqrt(max(after**2 - before**2, 0.0))) / NORMAL
 
@@ -107,9 +127,8 @@ def _restricted(value: Array, error: Array, tau: Array) -> tuple[Array, Array, A
     return -0.5 * (np.log(variance).sum(axis=0) + np.log(total) + misfit), mean, total, misfit
 
 
-def posterior(log_likelihood: Array) -> Array:
+def posterior(log_likelihood: Array, prior: Array = ONE_FLIGHT) -> Array:
     """Posterior probability of each cell of `GRID`, from its log-likelihood, the prior and the width of the cell."""
-    prior = (1 + GRID**2 / TAIL) ** (-0.5 * (TAIL + 1))
     share = prior * np.diff(EDGES) * np.exp(log_likelihood - log_likelihood.max())
     return np.asarray(share / share.sum())
 

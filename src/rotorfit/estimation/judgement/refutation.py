@@ -10,7 +10,8 @@ parts selected by what was flown show it:
 - size: small or large commands in the last second; limits of acceleration, braking, dead zones;
 - speed: slow or fast changes of the command; dynamics that the law lacks.
 
-Since parts are selected by what preceded an innovation, they are independent in a feedback loop, too.
+Since parts are selected by what preceded an innovation, they are independent in a feedback loop, too. Parts of several
+flights are compared within each flight only: by how much flights differ is another question (`random_effects`).
 
 The part of the response that the law leaves out remains in the innovations, which then correlate with the commands of
 the previous second. The ratio of that correlation's power to the power expected by chance is the factor by which the
@@ -25,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.core.frames import Array, Indices
+from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.model import Evidence
 from rotorfit.estimation.judgement.random_effects import excess_spread
 from rotorfit.estimation.judgement.residual_variance import Ratio, Weighted, orthonormal
@@ -37,7 +38,7 @@ STRETCH = 12.0
 """Length of the stretches of time [s]: longer than the memory of wind, short enough that a minute has five."""
 
 STRETCHES = 25
-"""Most stretches of all flights together: longer flights have longer ones, none of which falls below `LEAST_SHARE`."""
+"""Most stretches of a flight: longer flights have longer ones, none of which falls below `LEAST_SHARE`."""
 
 QUARTERS = 4
 """Number of parts of a flight that is twice as many stretches long, for what changes slowly."""
@@ -46,7 +47,7 @@ MEMORY = 1.0
 """How far back commands are considered [s]."""
 
 LEAST_SHARE = 0.02
-"""Share of the information below which a part is left out."""
+"""Share of the information of its flights below which a part is left out."""
 
 EVERY = 0.1
 """Spacing of the past commands that are tested together [s]."""
@@ -61,7 +62,7 @@ class Homogeneity:
 
     Attributes:
         statistic: Cochran's Q.
-        freedom: Number of parts that were used, less one.
+        freedom: Number of independent differences between parts of the same flight.
         p_value: Probability of a larger Q if the parts do not differ.
         sd: Standard deviation between the parts beyond chance and prior, in standard errors of the estimate.
     """
@@ -77,8 +78,7 @@ def cuts(records: Sequence[Record], weighted: Sequence[Weighted], k: int) -> Map
     memory = [_before(rec, one.time, k) for rec, one in zip(records, weighted, strict=True)]
     sizes = np.concatenate([size for size, _ in memory])
     speeds = np.concatenate([speed for _, speed in memory])
-    length = max(STRETCH, sum(float(np.ptp(one.time)) for one in weighted) / STRETCHES)
-    counts = [max(1, round(float(np.ptp(one.time)) / length)) for one in weighted]
+    counts = [min(max(1, round(float(np.ptp(one.time)) / STRETCH)), STRETCHES) for one in weighted]
     fewer = [QUARTERS if count >= 2 * QUARTERS else count for count in counts]
     return {
         "time": _stretches(weighted, counts),
@@ -113,15 +113,31 @@ def _thirds(values: Array, everywhere: Array) -> Indices:
 
 @dataclass(frozen=True)
 class Parts:
-    """Estimates of one quantity from M parts of the data, in standard errors of the published estimate.
+    """What M parts of the data say of one quantity, in standard errors of the published estimate.
+
+    Part m of flight f puts the quantity at pull / share, less the published estimate, with variance 1 / share.
 
     Attributes:
-        apart: The estimates, each less the published one, shape (M,).
-        error: Their standard errors, shape (M,); infinite where a part has too little information.
+        pull: Shape (F, M).
+        share: Of the information, shape (F, M).
+        told: Whether a part has enough information, shape (M,).
     """
 
-    apart: Array
-    error: Array
+    pull: Array
+    share: Array
+    told: Mask
+
+    def within(self, parts: Mask) -> tuple[Array, Array]:
+        """Sums of the pulls over the flights, less each flight's mean, (M,), and their covariance (M, M).
+
+        Effects delta of some parts, common to all flights, add the covariance times delta to the sums.
+
+        Source: S. R. Searle, Linear Models (1971), section 7.2 (the reduced normal equations of a two-way layout).
+        """
+        pull, share = np.where(parts, self.pull, 0.0), np.where(parts, self.share, 0.0)
+        flight = np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
+        mean = share / flight
+        return (pull - mean * pull.sum(axis=1, keepdims=True)).sum(axis=0), np.diag(share.sum(axis=0)) - mean.T @ share
 
 
 def estimates_of_parts(weighted: Sequence[Weighted], labels: Sequence[Indices], q: int, wider: float) -> Parts:
@@ -134,19 +150,17 @@ def estimates_of_parts(weighted: Sequence[Weighted], labels: Sequence[Indices], 
         wider: Factor on its standard error for innovations that are not white.
     """
     count = 1 + max(int(part.max()) for part in labels)
-    pull, power = np.zeros(count), np.zeros(count)
-    for one, part in zip(weighted, labels, strict=True):
-        pull += np.bincount(part, np.sum(one.weight[:, :, q] * one.innovation, axis=1), count)
-        power += np.bincount(part, np.sum(one.weight[:, :, q] ** 2, axis=1), count)
-    total = power.sum()
-    told = power > LEAST_SHARE * total
-    share = np.where(told, power, 1.0) / max(total, 1e-300)
-    apart = np.where(told, pull / (share * np.sqrt(max(total, 1e-300))) / wider, 0.0)
-    return Parts(apart, np.where(told, share**-0.5, np.inf))
+    pull, power = np.zeros((2, len(weighted), count))
+    for f, (one, part) in enumerate(zip(weighted, labels, strict=True)):
+        pull[f] = np.bincount(part, np.sum(one.weight[:, :, q] * one.innovation, axis=1), count)
+        power[f] = np.bincount(part, np.sum(one.weight[:, :, q] ** 2, axis=1), count)
+    total = max(power.sum(), 1e-300)
+    flight = np.where(power > 0, power.sum(axis=1, keepdims=True), 0.0).sum(axis=0)
+    return Parts(pull / (np.sqrt(total) * wider), power / total, power.sum(axis=0) > LEAST_SHARE * flight)
 
 
 def agreement(parts: Mapping[str, Parts], scale: Callable[[str], float]) -> Mapping[str, Homogeneity]:
-    """Agreement of the parts of one cut about each quantity that two of them tell.
+    """Agreement of the parts of one cut about each quantity that two parts of a flight tell.
 
     Where the parts certainly differ about one quantity, each other one that changes with it from part to part has at
     least that share of its spread: alone it may be known too little from each part to show one. So a steady gain is as
@@ -156,46 +170,47 @@ def agreement(parts: Mapping[str, Parts], scale: Callable[[str], float]) -> Mapp
         parts: Estimates of each quantity.
         scale: Scale of the prior on the spread of a quantity, in its standard errors.
     """
-    known = {name: one for name, one in parts.items() if np.isfinite(one.error).sum() > 1}
-    alone = {name: homogeneity_of(*_told(one), scale(name)) for name, one in known.items()}
+    known = {name: one for name, one in parts.items() if np.count_nonzero(one.told) > 1}
+    apart = {name: _differences(*one.within(one.told)) for name, one in known.items()}
+    alone = {name: homogeneity_of(*one, scale(name)) for name, one in apart.items() if one[0].size}
     leader = min(alone, key=lambda name: alone[name].p_value, default=None)
     if leader is None or alone[leader].p_value >= CERTAIN:
         return alone
-    led = {name: _slope(known[leader], one) * alone[leader].sd for name, one in known.items()}
+    led = {name: _slope(known[leader], known[name]) * alone[leader].sd for name in alone}
     return {name: replace(one, sd=max(one.sd, led[name])) for name, one in alone.items()}
 
 
-def _told(parts: Parts) -> tuple[Array, Array]:
-    """Estimates and errors of the parts that tell the quantity."""
-    told = np.isfinite(parts.error)
-    return parts.apart[told], parts.error[told]
+def _differences(pull: Array, covariance: Array) -> tuple[Array, Array]:
+    """Independent differences between parts, and their standard errors, both (N,): their expectation is 0."""
+    size, direction = np.linalg.eigh(covariance)
+    some = size > DISTINCT_PARTS * size[-1]
+    return (direction.T @ pull)[some] / size[some], size[some] ** -0.5
 
 
 def _slope(leader: Parts, parts: Parts) -> float:
     """Change of a quantity for a unit of another one's, from part to part, less what chance gives it; at least 0."""
-    weight = np.where(np.isfinite(leader.error), parts.error**-2.0, 0.0)
-    if np.count_nonzero(weight) < 2:  # both are known of one part at most
+    both = leader.told & parts.told
+    pull, covariance = leader.within(both)
+    along = np.linalg.pinv(covariance, DISTINCT_PARTS, hermitian=True) @ pull
+    pull, covariance = parts.within(both)
+    power = float(along @ covariance @ along)
+    if power <= 0:  # both are known of one part at most
         return 0.0
-    along = leader.apart - weight @ leader.apart / weight.sum()
-    power = float(weight @ along**2)
-    slope = float(weight @ (along * parts.apart)) / power if power > 0 else 0.0
-    return float(np.sqrt(max(slope**2 - 1 / power, 0.0))) if power > 0 else 0.0
+    return float(np.sqrt(max((float(along @ pull) / power) ** 2 - 1 / power, 0.0)))
 
 
 def homogeneity_of(apart: Array, error: Array, scale: float) -> Homogeneity:
     """Agreement of several estimates of one quantity, in standard errors of the published estimate.
 
     Args:
-        apart: The estimates, each less the published one, shape (M,).
-        error: Their standard errors, shape (M,).
-        scale: Scale of the prior on their spread.
+        apart: Independent differences between them, which vary by the spread as the estimates do, shape (N,).
+        error: Their standard errors, shape (N,).
+        scale: Scale of the prior on the spread.
     """
     from scipy.special import chdtrc
 
-    weight, freedom = error**-2.0, len(apart) - 1
-    mean = weight @ apart / weight.sum()
-    statistic = float(weight @ (apart - mean) ** 2)
-    return Homogeneity(statistic, freedom, float(chdtrc(freedom, statistic)), excess_spread(apart, error, scale))
+    statistic = float(np.sum((apart / error) ** 2))
+    return Homogeneity(statistic, apart.size, float(chdtrc(apart.size, statistic)), excess_spread(apart, error, scale))
 
 
 @dataclass(frozen=True)
@@ -251,6 +266,9 @@ def _past(rec: Record, one: Weighted, k: int) -> Array:
     basis = orthonormal(np.column_stack([np.ones(len(u)), one.span[:, k]]))
     return np.asarray(u - basis @ (basis.T @ u))
 
+
+DISTINCT_PARTS = 1e-9
+"""Share of the largest variance below which a difference between parts is none."""
 
 REJECTED = 0.001
 """p-value below which a test is reported as evidence against the law: a fit has four axes with up to five tests."""

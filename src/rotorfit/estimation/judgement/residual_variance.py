@@ -36,6 +36,9 @@ LEAST_BINS = 6
 TIME_WINDOW = 5.0
 """Half width of the smoothing in time [s]: the duration of gusts."""
 
+INDEPENDENT = 1e-6
+"""Share of the largest singular value below which a direction depends on the others."""
+
 SHRINKAGE = 2.0
 """Number of its own variances that is subtracted from a squared excess."""
 
@@ -46,19 +49,31 @@ class Weighted:
 
     Attributes:
         time: Shape (B,) [s].
-        innovation: Innovations, of unit variance under the model, shape (B, K).
+        innovation: Innovations, of unit variance under the model, shape (B, K); of one of several flights, less what
+            its own coefficients would explain.
         weight: Shape (B, K, Q), each on the scale of its estimate.
         span: Whitened sensitivities of all fitted parameters, shape (B, K, P): the directions that the fit absorbed.
+        own: Step from the parameters of all flights to those of this one, shape (P,); 0 of a single flight.
     """
 
     time: Array
     innovation: Array
     weight: Array
     span: Array
+    own: Array
 
 
-def weighted_innovations(estimate: Estimate, wanted: Sequence[Estimand]) -> list[Weighted]:
-    """Innovations of each flight of an estimate, and their weights in the wanted quantities."""
+def weighted_innovations(estimate: Estimate, wanted: Sequence[Estimand], own: Sequence[Array] = ()) -> list[Weighted]:
+    """Innovations of each flight of an estimate, and their weights in the wanted quantities.
+
+    From those of several flights, what coefficients of the flight's own would explain is removed, to first order: how
+    much flights differ is judged by `random_effects`, and is neither colour of the innovations nor an error of the law.
+
+    Args:
+        estimate: Of one flight or several.
+        wanted: Q quantities.
+        own: Step to the parameters of each flight under other levels, (P,) each; found here where it is not given.
+    """
     optimum, point = estimate.optimum, estimate.optimum.point
     n, K, F = point.n, point.gain.size, len(estimate.records)
     covariance = inverted(optimum.score.information[:n, :n], optimum.free[:n])
@@ -69,13 +84,22 @@ def weighted_innovations(estimate: Estimate, wanted: Sequence[Estimand]) -> list
         _, sensitivity = response(rec, point, j, point.start[at])
         rows, _ = whiten(rec, sensitivity, point.levels)
         segment = rec.segment
-        own = np.r_[:first, first + j * K : first + (j + 1) * K]
-        weight = np.einsum("bck,cq->bkq", rows[:, : first + K], along[own])
+        shared = np.r_[:first, first + j * K : first + (j + 1) * K]
+        weight = np.einsum("bck,cq->bkq", rows[:, : first + K], along[shared])
         starts = first + F * K + (at.start + segment)[:, None] * K + np.arange(K)
         weight += np.einsum("bck,bcq->bkq", rows[:, first + K :], along[starts])
-        span = rows.transpose(0, 2, 1)[:, :, np.flatnonzero(np.r_[optimum.free[own], [True] * K])]
-        out.append(Weighted(rec.block_time, optimum.score.innovations[j], weight, span))
+        span = rows.transpose(0, 2, 1)[:, :, np.flatnonzero(np.r_[optimum.free[shared], [True] * K])]
+        innovation = optimum.score.innovations[j]
+        step = np.zeros(span.shape[-1]) if F == 1 else own[j] if own else _step(innovation, span)
+        out.append(Weighted(rec.block_time, innovation - span @ step, weight, span, step))
     return out
+
+
+def _step(innovation: Array, span: Array) -> Array:
+    """Step (P,) of the parameters that explains most of the innovations (B, K) by their sensitivities (B, K, P)."""
+    columns = span.reshape(-1, span.shape[-1])
+    size = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-300)
+    return np.asarray(np.linalg.lstsq(columns / size, innovation.reshape(-1), INDEPENDENT)[0] / size)
 
 
 @dataclass(frozen=True)
@@ -171,7 +195,7 @@ def orthonormal(columns: Array) -> Array:
     """Orthonormal basis of the span of the columns; dependent columns and columns of zeros are dropped."""
     size = np.sqrt(np.sum(columns**2, axis=0))
     left, singular, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(left[:, singular > 1e-6 * singular[:1].max(initial=1e-300)])
+    return np.asarray(left[:, singular > INDEPENDENT * singular[:1].max(initial=1e-300)])
 
 
 def _smoothed(power: Array, reach: int) -> Array:
