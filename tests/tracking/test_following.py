@@ -1,5 +1,6 @@
 """Steps between refits lead to where the batch estimator stands, and never say more than it does."""
 
+import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, Evidence, Interval, Predictor, Weighed, weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
 from rotorfit.estimation.fitting import fit
-from rotorfit.files.models import load, save
+from rotorfit.estimation.likelihood.optima import between
+from rotorfit.files.models import load, save, to_mapping
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 from rotorfit.tracking import following as following_module
 from rotorfit.tracking.following import GLANCE, Following, _Before
@@ -105,6 +107,25 @@ def test_a_segment_that_begins_is_seen_though_no_step_is_taken(early: GroupEstim
     assert len(optimum.free) == len(optimum.score.information)
 
 
+def test_start_velocities_of_new_segments_are_all_that_moves_without_commands(early: GroupEstimate) -> None:
+    flight = replace(until(known_flight(), 20.0), segments=(Segment(12.0, 18.0), Segment(18.5, 20.0)))
+    before, after = early.estimates["z"].optimum.point, renewed(early, flight).estimates["z"].optimum.point
+
+    assert after.flat()[: before.coefficients].tolist() == before.flat()[: before.coefficients].tolist()
+    assert after.trim.tolist() == before.trim.tolist()
+    assert after.start.size == 2
+
+
+def test_no_step_is_taken_on_a_flight_that_tells_less_than_the_last_refit_knew(early: GroupEstimate) -> None:
+    """As after a hover, when what was excited has slid out of the time that is looked back over."""
+    held = stepped(early, between(known_flight(), 24.0, 30.0), 31.0)
+    before, after = axis_report(early, "z"), axis_report(held, "z")
+
+    assert after.values == before.values
+    assert after.ci95 == before.ci95
+    assert held.stepped == 31.0
+
+
 def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(early: GroupEstimate) -> None:
     told = axis_report(early, "z")
 
@@ -184,6 +205,7 @@ def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monke
     """A longer flight stands for hours: the estimate looks back over 8 s of 20."""
     monkeypatch.setattr("rotorfit.tracking.groups.LONGEST", 8.0)
     monkeypatch.setattr("rotorfit.tracking.refits.LONGEST", 8.0)
+    monkeypatch.setattr("rotorfit.tracking.excited_time.LONGEST", 8.0)
     following, told = Following(LAW), []
     for part, now in growing(replace(until(known_flight(), 20.0), axes=("z",)), following.next_look):
         told.append((now, following.look(part, now).axes["z"].values["input"]))
@@ -271,6 +293,15 @@ def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> Non
     assert again.axes["yaw"].state == "known"
     assert again.axes["z"].state == "changed at 11.6 s, learning"
     assert (again.regime, again.regime_start) == (1, 11.6)
+
+
+def test_models_of_regimes_whose_seconds_are_forgotten_are_remembered(early: GroupEstimate) -> None:
+    following, again = Following(LAW), Following(LAW)
+    kept = [[0.0, to_mapping(early.fit.model)], [7.0, None]]
+    following.recall({**following.memory(), "kept": kept})
+    again.recall(json.loads(json.dumps(following.memory())))
+
+    assert json.loads(json.dumps(again.memory()["kept"])) == json.loads(json.dumps(kept))
 
 
 def test_a_model_of_a_regime_knows_of_each_axis_what_all_the_flight_tells_in_which_it_did_not_change(

@@ -25,6 +25,7 @@ from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import late_by
+from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.tracking.air import AxisNow, Course, courses, doubts_of
 from rotorfit.tracking.alarms import (
     alarm_of,
@@ -50,12 +51,12 @@ from rotorfit.tracking.changes import (
 )
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, tells_as_much, told_after
+from rotorfit.tracking.excited_time import QUIET
 from rotorfit.tracking.groups import (
-    QUIET,
     Group,
-    excited_time,
     held_axes,
     looks_back,
+    new_excited_time,
     quiet_for,
     recent_groups,
     scores_of_groups,
@@ -247,10 +248,14 @@ class Following:
         return state
 
     def memory(self) -> dict[str, Any]:
-        """Regimes and the time of the next look, as plain types; `recall` leaves the estimates to new fits."""
+        """Regimes and the time of the next look, as plain types; `recall` leaves the estimates to new fits.
+
+        Models of regimes whose seconds are forgotten are part of it.
+        """
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
         told = {"compared": self._compared, "unlike": sorted(self._unlike), "watched": dict(self._watched)}
         told |= {"told_itself": sorted(self._told_itself)}
+        told |= {"kept": [(start, model and to_mapping(model)) for start, model in self._kept.items()]}
         since = {"since": dict(self._since), "changed": dict(self._changed), "laws": dict(self._laws)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), "begins": self._begins, **told}
 
@@ -262,6 +267,9 @@ class Following:
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
         self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
         self._told_itself = set(memory.get("told_itself", ()))
+        self._kept = {
+            start: model and from_mapping(model, "the state of the tracker") for start, model in memory.get("kept", ())
+        }
         self._watched, self._begins = dict(memory.get("watched", {})), memory.get("begins", np.inf)
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
@@ -296,10 +304,10 @@ class Following:
         group = self._groups.get(axes, Group(axes, since))
         if group.since != since:
             group = Group(axes, since, answers=group.answers)
-        part = group.part(flight, looks_back(since, now), now)
+        part = group.part(flight, looks_back(flight, axes, since, now), now)
         if part is None or part.duration < LEAST_TIME:
             return group
-        excited = group.excited + excited_time(flight, axes, max(group.looked, since), now)
+        excited = group.excited + new_excited_time(group, flight, now)
         group, before = replace(group, excited=excited, looked=now), group.fitted
         if before and all(quiet_for(flight, axis, now) > QUIET for axis in axes):
             return replace(group, fitted=renewed(before, part))  # no excitation: the last values hold
@@ -488,7 +496,7 @@ class Following:
                 continue
             late = [late_by(one) for one in group.fitted.estimates.values()]
             apart = replace(group, answers=min(late))
-            begin = looks_back(group.since, now)
+            begin = looks_back(flight, axes, group.since, now)
             whole, answers = (one.part(flight, begin, now) for one in (group, apart))
             if not (whole and answers and LEAST_TIME <= answers.duration <= RESTLESS * whole.duration):
                 continue

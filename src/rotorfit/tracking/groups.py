@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, Array
 from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts
-from rotorfit.tracking.refits import LONGEST, GroupEstimate, applied, doubt_of
+from rotorfit.tracking.excited_time import LONGEST, excited_since, excited_time
+from rotorfit.tracking.refits import GroupEstimate, applied, doubt_of
 from rotorfit.tracking.scores import Doubts, Estimates, Scores, scores_of, sticks_of
 
 BEGINS = 0.1
@@ -25,9 +26,6 @@ is made at each look, with this number of averages."""
 TESTED = 120.0
 """Length of the part of a long regime that is tested for changes [s]: that of the flights on which the promise was
 counted. A change is a matter of the last `scores.WINDOWS`; more of the time before them hardly tells more."""
-
-QUIET = 5.0
-"""Time without a new command after which an axis is `holding` [s]: by then it has answered the last one."""
 
 
 @dataclass(frozen=True)
@@ -80,18 +78,31 @@ def recent_groups(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: 
     return out
 
 
-def looks_back(since: float, now: float) -> float:
-    """Time from which the estimates of a look use the flight [s]: at least `LONGEST` back, in a regime so long."""
-    return _last(LONGEST, since, now)
+def looks_back(flight: Flight, axes: Sequence[str], since: float, now: float) -> float:
+    """Time from which the estimates of a look use the flight [s]: at least `LONGEST` of excited time back.
+
+    It is the regime's start where that is no longer ago, or nothing before is remembered. A hover, in which nothing is
+    learnt, makes nothing forgotten.
+
+    Args:
+        flight: The flight, as far as it is remembered.
+        axes: Those whose excited time counts.
+        since: Start of the regime [s].
+        now: Time of the look [s].
+    """
+    begin = excited_since(flight.command_time, _commands(flight, axes), since, now)
+    return since if begin <= since else _in_steps(LONGEST, since, begin)
 
 
 def _last(longest: float, since: float, now: float) -> float:
-    """The time [s] that lies at least `longest` back, in a regime so long; else the regime's start.
+    """The time [s] that lies at least `longest` back, in a regime so long; else the regime's start."""
+    return _in_steps(longest, since, now - longest)
 
-    It moves in steps: what was learnt of the velocity there holds until the next.
-    """
+
+def _in_steps(longest: float, since: float, begin: float) -> float:
+    """The beginning of what is used, moved in steps: what was learnt of the velocity there holds until the next."""
     step = BEGINS * longest
-    return max(since, step * float(np.floor((now - longest) / step)))
+    return max(since, step * float(np.floor(begin / step)))
 
 
 def quiet_for(flight: Flight, axis: str, now: float) -> float:
@@ -101,12 +112,14 @@ def quiet_for(flight: Flight, axis: str, now: float) -> float:
     return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
 
 
-def excited_time(flight: Flight, axes: Sequence[str], since: float, now: float) -> float:
-    """Excited time between two instants [s]: at most `QUIET` after each new command of some axes."""
-    u = flight.command[:, [AXES.index(axis) for axis in axes]]
-    new = flight.command_time[1:][np.any(np.diff(u, axis=0) != 0, axis=1)]
-    answered = np.minimum(np.append(new[1:], now), new + QUIET)
-    return float(np.maximum(answered - np.maximum(new, since), 0.0).sum())
+def new_excited_time(group: Group, flight: Flight, now: float) -> float:
+    """Excited time of a group since it was counted last [s]."""
+    commands = _commands(flight, group.axes)
+    return excited_time(flight.command_time, commands, max(group.looked, group.since), now)
+
+
+def _commands(flight: Flight, axes: Sequence[str]) -> Array:
+    return flight.command[:, [AXES.index(axis) for axis in axes]]
 
 
 def part_between(flight: Flight, since: float, now: float) -> Flight | None:

@@ -23,6 +23,7 @@ from rotorfit.core.frames import Array, yaw_from_quaternion
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Alarm
 from rotorfit.flights.stamps import rows_of_slower
+from rotorfit.tracking.excited_time import LONGEST, excited_since
 from rotorfit.tracking.flight_so_far import HOLD, UNRECORDED, FlightSoFar, News, Rows
 from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.pose_watch import FROZEN, PoseWatch
@@ -30,9 +31,6 @@ from rotorfit.tracking.sender_clock import SenderClock
 
 KEPT = 900.0
 """Time that is remembered [s]."""
-
-REMEMBERED = 300.0
-"""How much of that `memory` returns [s]: as much as an estimate looks back over."""
 
 AHEAD = 2.0
 """Time that a stamp lies ahead of all before it from which on the next one must confirm it [s]."""
@@ -286,15 +284,16 @@ class GrowingFlight:
         return self._so_far
 
     def memory(self) -> Mapping[str, Any]:
-        """The last `REMEMBERED` seconds and all that `recall` needs, as arrays for a file; empty at first."""
+        """What an estimate looks back over and all that `recall` needs, as arrays for a file; empty at first."""
         if self._origin is None:
             return {}
+        begin = self._looked_back_over()
         clocks = [self._clocks[name] for name in _TIMED]
         return {
             "origin": np.array(self._origin),
             "now": np.array(self.now),
-            **_packed("commands", self._commands, self.now - REMEMBERED),
-            **_packed("poses", self._poses, self.now - REMEMBERED),
+            **_packed("commands", self._commands, begin),
+            **_packed("poses", self._poses, begin),
             "by_arrival": np.array([clock.by_arrival for clock in clocks]),
             "shift": np.array([clock.shift for clock in clocks]),
             "obeys": np.array(self._obeys),
@@ -307,6 +306,14 @@ class GrowingFlight:
             "pose_lateness": np.array(self._so_far.pose_lateness),
             "counts": np.array(list(self._so_far.counts.values()), dtype=np.int64),
         }
+
+    def _looked_back_over(self) -> float:
+        """Time since which an estimate of any axis that is commanded may use the flight [s]."""
+        time, command = self._commands.time, self._commands.values
+        first = max(self.now - KEPT, 0.0)
+        moved = command[:, np.ptp(command, axis=0) > 0] if time.size else command
+        begins = [excited_since(time, one[:, None], first, self.now) for one in moved.T]
+        return min(begins, default=self.now - LONGEST)
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Continues from what `memory` returned; call it before the first sample."""

@@ -30,12 +30,14 @@ from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.zero_command import commanded_parts
+from rotorfit.tracking.excited_time import LONGEST
 
 REFIT, REFIT_SETTLED = 1.5, 2.5
 """Growth of the excited time that calls for a refit, and the same as long as the last refit is `_settled`."""
 
-LONGEST = 300.0
-"""How far an estimate looks back [s]; older parts of a regime are not used."""
+LOST = 1.2
+"""Ratio of a standard error to that of the last refit above which no step is taken: what the refit knew has slid out of
+the time that the estimate looks back over."""
 
 REFIT_UNKNOWN = 1.2
 """As `REFIT`, as long as the last refit gave no numbers."""
@@ -272,6 +274,9 @@ def grown(seen: float, excited: float, growth: float) -> bool:
 def stepped(fitted: GroupEstimate, flight: Flight, excited: float) -> GroupEstimate:
     """The estimate after a step of Fisher scoring on the flight so far, if enough data are new; else as `renewed`.
 
+    It is also left as it is where the flight that it looks back over has come to tell less than at the last refit: a
+    step would follow the little that is left, within intervals of what has been lost.
+
     Args:
         fitted: The estimate before.
         flight: The flight so far; segments that the estimate has seen keep their starts.
@@ -281,11 +286,17 @@ def stepped(fitted: GroupEstimate, flight: Flight, excited: float) -> GroupEstim
     if not new.estimates or not grown(fitted.stepped, excited, GROWN):
         return new
     moved = _moved(new.estimates, (fitted.steps + 1) % LEVELS_EVERY == 0)
-    return replace(new, estimates=moved, steps=fitted.steps + 1, stepped=excited)
+    lost = any(_lost(one, fitted.half[axis]) for axis, one in moved.items())
+    return replace(new, estimates=new.estimates if lost else moved, steps=fitted.steps + 1, stepped=excited)
+
+
+def _lost(estimate: Estimate, then: Mapping[str, Widths]) -> bool:
+    """Whether a quantity is told less surely than at the refit."""
+    return any(error > LOST * then[name].error for name, error in _curvature_errors(estimate).items())
 
 
 def renewed(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
-    """The estimate, applied to the flight so far, and moved only where new segments need start velocities.
+    """The estimate, applied to the flight so far; of it only the start velocities of new segments move.
 
     Args:
         fitted: The estimate before.
@@ -295,7 +306,7 @@ def renewed(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
     before = {axis: one.optimum.point.start.size for axis, one in fitted.estimates.items()}
     if all(one.optimum.point.start.size == before[axis] for axis, one in new.estimates.items()):
         return new
-    return replace(new, estimates=_moved(new.estimates, False))
+    return replace(new, estimates=_moved(new.estimates, False, coefficients=False))
 
 
 def applied(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
@@ -349,18 +360,19 @@ def _renewed(estimate: Estimate, records: list[Record]) -> Estimate:
     return replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
 
 
-def _moved(estimates: Mapping[str, Estimate], levels: bool) -> dict[str, Estimate]:
-    """The estimates after a step, in which the levels of the disturbance may move."""
+def _moved(estimates: Mapping[str, Estimate], levels: bool, coefficients: bool = True) -> dict[str, Estimate]:
+    """The estimates after a step, in which levels of the disturbance, coefficients and trims may move."""
     if len({id(one.optimum) for one in estimates.values()}) < len(estimates):  # x and y share a likelihood
-        one = _moved_alone(next(iter(estimates.values())), levels)
+        one = _moved_alone(next(iter(estimates.values())), levels, coefficients)
         return {axis: replace(each, optimum=one.optimum) for axis, each in estimates.items()}
-    return {axis: _moved_alone(one, levels) for axis, one in estimates.items()}
+    return {axis: _moved_alone(one, levels, coefficients) for axis, one in estimates.items()}
 
 
-def _moved_alone(estimate: Estimate, levels: bool) -> Estimate:
+def _moved_alone(estimate: Estimate, levels: bool, coefficients: bool) -> Estimate:
     """An estimate after a step of its own likelihood."""
     optimum = estimate.optimum
     moving = optimum.free.copy()
+    moving[: optimum.point.coefficients + optimum.point.trim.size] &= coefficients
     moving[optimum.point.n :] &= levels
     found = maximise(estimate.records, optimum.point, moving, most=PASSES, prior=optimum.prior)
     return replace(estimate, optimum=replace(found, free=optimum.free))

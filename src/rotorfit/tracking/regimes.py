@@ -20,8 +20,8 @@ from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Alarm, Regime
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.identifiability import LEAST_TIME
-from rotorfit.tracking.groups import part_between
-from rotorfit.tracking.refits import LONGEST, GroupEstimate, group_estimate, together
+from rotorfit.tracking.groups import looks_back, part_between
+from rotorfit.tracking.refits import GroupEstimate, group_estimate, together
 from rotorfit.tracking.scores import FADES, TRIMMED
 
 SETTLES = 3 * FADES
@@ -88,7 +88,8 @@ def fading(flight: Flight, bounds: Bounds, begin: float) -> list[float]:
         bounds: Its regimes.
         begin: Start of the flight, or of the part of it that is tracked [s].
     """
-    return [start for start, end in _spans(bounds, np.inf)[:-1] if flight.span[0] > max(start, begin, end - LONGEST)]
+    spans = _spans(bounds, np.inf)[:-1]
+    return [start for start, end in spans if flight.span[0] > max(begin, looks_back(flight, flight.axes, start, end))]
 
 
 def model_of_own(
@@ -105,7 +106,9 @@ def model_of_own(
     """
     end = next(end for begin, end in _spans(bounds, np.inf) if begin == start)
     around = {axes: _unchanged(bounds, axes, (start, end), end) for axes in groups}
-    own = {axes: (max(low, start, end - LONGEST), min(high, end)) for axes, (low, high) in around.items()}
+    own = {
+        axes: (max(low, looks_back(flight, axes, start, end)), min(high, end)) for axes, (low, high) in around.items()
+    }
     return together(list(_parts(flight, [own], structure, end)[0].values()))
 
 
