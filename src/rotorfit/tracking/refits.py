@@ -286,7 +286,8 @@ def stepped(fitted: GroupEstimate, flight: Flight, excited: float) -> GroupEstim
     if not new.estimates or not grown(fitted.stepped, excited, GROWN):
         return new
     moved = _moved(new.estimates, (fitted.steps + 1) % LEVELS_EVERY == 0)
-    lost = any(_lost(one, fitted.half[axis]) for axis, one in moved.items())
+    slid = flight.span[0] > fitted.fit.flights[0].span[0]
+    lost = slid and any(_lost(one, fitted.half[axis]) for axis, one in moved.items())
     return replace(new, estimates=new.estimates if lost else moved, steps=fitted.steps + 1, stepped=excited)
 
 
