@@ -9,12 +9,12 @@ import pytest
 from flights import fit_as_flown, flown, muddled, steps
 from rotorfit.app.workflows import fit_logs
 from rotorfit.assessment.advice import findings_of_fit, too_early
-from rotorfit.assessment.law_findings import law_findings
+from rotorfit.assessment.law_findings import law_findings, with_size
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Candidate, Evidence, Mode, Predictor
+from rotorfit.core.model import Candidate, Combination, Evidence, Mode, Predictor, Weighed
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.law_selection import unidentifiable_candidate
@@ -314,6 +314,18 @@ def test_a_law_that_was_chosen_among_all_is_not_advised_again() -> None:
             assert ("fit with --structure auto" in told.remedy) == (not candidates)
 
 
+def test_where_small_and_large_commands_disagree_smaller_ones_are_advised() -> None:
+    size, speed = (Evidence(test, "they do not agree", 1e-4, {"input": 0.1}, False) for test in ("size", "speed"))
+    axis = well().model.axes["z"]
+
+    for status in ({}, dict.fromkeys(axis.status, "refuted")):
+        for evidence in ((size, speed), (speed,)):
+            (told,) = law_findings("z", replace(axis, evidence=evidence, status=status))
+            assert ("smaller ones where large ones reach a limit" in told.remedy) == (size in evidence)
+    assert with_size(replace(axis, evidence=(size,)), "track it").endswith("; track it")
+    assert with_size(replace(axis, evidence=(speed,)), "track it") == "track it"
+
+
 def test_a_law_that_was_asked_for_and_not_identifiable_was_not_chosen_among_all() -> None:
     doubt = Evidence("speed", "fast and slow commands give different gains", 1e-4, {"input": 0.1}, False)
     axis = replace(well().model.axes["z"], evidence=(doubt,), candidates=(unidentifiable_candidate("saturation"),))
@@ -382,3 +394,48 @@ def test_of_a_law_that_finds_nothing_the_sign_is_that_of_the_law_with_a_delay() 
 
     assert told["sign_flipped", "x"].evidence.startswith("the input gain of x is -3.")
     assert ("law_refuted", "x") in told
+
+
+def between_laws(result: Fit, **parts: object) -> Fit:
+    """z under two laws that the data do not decide between, the likelier one of which tells gain and damping."""
+    axis = result.model.axes["z"]
+    point = Predictor(3.21, 3.19, 0.118)
+    known, vague = ({"input": error, "damping": error, "delay": 0.002} for error in (0.04, 2.0))
+    laws = (
+        Weighed("first_order_delay", 0.79, 0.0, point, known, ()),
+        Weighed("second_order_zero", 0.21, 2.7, replace(point, extra={"lag": 0.06, "zero": 0.09}), vague, ()),
+    )
+    unknown = {**axis.status, "input": "not_identifiable", "damping": "not_identifiable"}
+    ends = {**axis.ci95, "input": (0.29, 3.29), "damping": (0.25, 3.31)}
+    return changed(result, **{"input": None, "damping": None, "status": unknown, "ci95": ends, "laws": laws, **parts})
+
+
+def test_what_only_another_law_leaves_open_names_the_law_that_tells_it() -> None:
+    told = found(between_laws(well()))
+    gain, damping = (told[f"{name}_not_identifiable", "z"] for name in ("input", "damping"))
+
+    for one, value in ((gain, "3.21,"), (damping, "3.19 1/s,")):
+        assert "(first_order_delay 79 %, second_order_zero 21 %)" in one.evidence
+        assert one.remedy.startswith(f"fit with --structure first_order_delay, which gives {value}")
+    assert gain.evidence.startswith("the 95 % interval of the input gain of z is 0.29 to 3.29")
+
+
+def test_a_delay_that_two_clocks_hide_is_no_feedback_loop() -> None:
+    axis = between_laws(well()).model.axes["z"]
+    gain = axis.combinations["steady_gain"]
+    clocked = between_laws(
+        well(),
+        delay=None,
+        status={**axis.status, "delay": "not_identifiable"},
+        ci95={**axis.ci95, "delay": (None, None)},
+        combinations={"steady_gain": gain, "offset_plus_delay": Combination(-246.8, (-246.9, -246.7))},
+    )
+    told = found(clocked)
+
+    assert "responds to its motion" not in told["input_not_identifiable", "z"].evidence
+    assert told["input_not_identifiable", "z"].remedy.startswith("fit with --structure first_order_delay")
+    assert told["damping_not_identifiable", "z"].effect == f"what is known of z is the steady gain {gain.value:.3g}"
+    alone = found(changed(clocked, laws=()))
+    assert alone["damping_not_identifiable", "z"].remedy == "fly faster changes of the command"
+    assert "open" not in alone["damping_not_identifiable", "z"].evidence
+    assert alone["input_not_identifiable", "z"].remedy == "fly faster changes of the command"

@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
 from rotorfit.assessment.frequency.loop import seem_to_answer
-from rotorfit.assessment.law_findings import contradicted, disagreement_findings, law_findings
+from rotorfit.assessment.law_findings import contradicted, disagreement_findings, law_findings, with_size
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings
 from rotorfit.core.finding import OTHER_STAMPS, WRONG_FRAME, Finding, by_gravity
@@ -19,7 +19,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes, with_frozen
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Axis, with_findings
+from rotorfit.core.model import Axis, Weighed, with_findings
 from rotorfit.core.results import Fit
 from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.doctor import SHORT_TIME
@@ -27,6 +27,7 @@ from rotorfit.diagnosis.frame_checks import OVER, remedy_in_the_pose
 from rotorfit.diagnosis.position_loop import restored_axes
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
+from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.outliers import outlier_findings
 from rotorfit.estimation.methods import BEST, METHODS, label_of
 from rotorfit.estimation.regression.instrumental_variables import COMMAND
@@ -169,7 +170,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += _start_findings(name, axis, flights)
             found += _excitation_findings(name, axis, flights)
             laws = law_findings(name, axis, stamped)  # no other law explains a vehicle that changed
-            found += (replace(one, remedy=changed[0].remedy) if changed else one for one in laws)
+            found += (replace(one, remedy=with_size(axis, changed[0].remedy)) if changed else one for one in laws)
         elif contradicted(axis):
             found += law_findings(name, axis, stamped)
         if axis.predictor and name in fit.estimates and name not in wrong:
@@ -292,22 +293,22 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
         yield _unstable(name, point.input, point.damping, high is not None and high < 0)
     if "delay" in axis.status and axis.profile:
         yield from _delay_findings(name, axis, point.delay, flights)
+    undecided = _undecided(axis)
     if axis.status["damping"] == "not_identifiable":
-        (low, high), late = axis.ci95["damping"], None in axis.ci95["delay"]
-        gain, lag = axis.combinations.get("steady_gain"), axis.combinations.get("total_lag")
+        (low, high), late = axis.ci95["damping"], None in axis.ci95["delay"] and not _clocked(axis)
         faster = "fly faster changes of the command"
         yield Finding(
             "damping_not_identifiable",
             "info",
             f"the 95 % interval of the damping of {name} is {_end(low)} to {_end(high)} 1/s"
-            + (", which does not hold where that of the delay is open" if late and None not in (low, high) else ""),
-            f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
-            if gain and lag and None not in (*gain.ci95, *lag.ci95)
-            else f"the input gain of {name} is known, its damping is not",
-            faster if late or high is None or high > 3.0 else "fly longer, at constant command",
+            + (", which does not hold where that of the delay is open" if late and None not in (low, high) else "")
+            + _between_laws(axis, undecided),
+            _known_beside(name, axis),
+            _under(undecided, "damping", " 1/s")
+            or (faster if late or high is None or high > 3.0 else "fly longer, at constant command"),
             name,
         )
-    if axis.status["input"] == "not_identifiable" and axis.status["delay"] != "ok":
+    if axis.status["input"] == "not_identifiable" and axis.status["delay"] != "ok" and not _clocked(axis):
         yield Finding(
             "input_not_identifiable",
             "info",
@@ -317,17 +318,74 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
             name,
         )
     elif axis.status["input"] == "not_identifiable":
-        gain = axis.combinations.get("steady_gain")
+        gain, (low, high) = axis.combinations.get("steady_gain"), axis.ci95["input"]
+        wide = None not in (low, high) and statuses(axis.ci95)["input"] != "ok"
+        use = "use the steady gain with the total lag, or " * bool(gain and "total_lag" in axis.combinations)
         yield Finding(
             "input_not_identifiable",
             "info",
-            f"{name} responds faster than the data resolve: gain and damping grow together without bound",
+            f"the 95 % interval of the input gain of {name} is {_end(low)} to {_end(high)}"
+            + _between_laws(axis, undecided)
+            if wide
+            else f"{name} responds faster than the data resolve: gain and damping grow together without bound",
             f"the steady gain of {name}, {gain.value:.3g}, is known; its parts are not"
             if gain
             else f"neither the input gain of {name} nor its damping is known",
-            f"{'use the steady gain with the total lag, or ' * bool(gain)}record poses and commands at a higher rate",
+            _under(undecided, "input")
+            or use + ("fly faster changes of the command" if wide else "record poses and commands at a higher rate"),
             name,
         )
+
+
+def _clocked(axis: Axis) -> bool:
+    """Whether the delay of an axis is open because it cannot be told from the offset of two clocks."""
+    return "offset_plus_delay" in axis.combinations
+
+
+def _known_beside(name: str, axis: Axis) -> str:
+    """What is known of an axis whose damping is not, as a clause."""
+    gain, lag = axis.combinations.get("steady_gain"), axis.combinations.get("total_lag")
+    if gain and lag and None not in (*gain.ci95, *lag.ci95):
+        return f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
+    if axis.status["input"] == "ok":
+        return f"the input gain of {name} is known, its damping is not"
+    if gain and None not in gain.ci95:
+        return f"what is known of {name} is the steady gain {gain.value:.3g}"
+    return f"neither the input gain of {name} nor its damping is known"
+
+
+def _undecided(axis: Axis) -> Weighed | None:
+    """The likeliest law that tells gain and damping, where they are unknown only because other laws may hold as well.
+
+    None where the delay is unknown, too, as in a feedback loop.
+    """
+    if len(axis.laws) < 2 or not (axis.status["delay"] == "ok" or _clocked(axis)):
+        return None
+    known = (law for law in sorted(axis.laws, key=lambda law: -law.weight) if _tells(law))
+    return next(known, None)
+
+
+def _tells(law: Weighed) -> bool:
+    """Whether gain and damping have small errors under a law."""
+    pairs = [(getattr(law.predictor, name), law.stderr.get(name)) for name in ("input", "damping")]
+    return all(error is not None and error < WEAK_GAIN * abs(value) for value, error in pairs)
+
+
+def _between_laws(axis: Axis, undecided: Weighed | None) -> str:
+    """Why an interval is wide, to be appended to it; empty where it is wide under each law."""
+    if undecided is None:
+        return ""
+    laws = ", ".join(f"{law.structure} {100 * law.weight:.0f} %" for law in axis.laws)
+    return f": the data do not decide between laws ({laws}), and it covers all of them"
+
+
+def _under(law: Weighed | None, coefficient: str, unit: str = "") -> str:
+    """How to get a coefficient under one law; empty without one."""
+    if law is None:
+        return ""
+    value = f"{getattr(law.predictor, coefficient):.3g}{unit}"
+    use = f"fit with --structure {law.structure}, which gives {value}, if that law will do"
+    return f"{use}; more flights decide between them"
 
 
 def _delay_findings(name: str, axis: Axis, delay: float, flights: Sequence[Flight]) -> Iterator[Finding]:

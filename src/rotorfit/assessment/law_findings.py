@@ -32,6 +32,12 @@ STAMPS_ALONE = (
     "part of a row each time, which alone can look like this; then "
 )
 
+SMALLER = (
+    "fit flights whose commands all have the size that the model is wanted for: smaller ones where large ones reach a "
+    "limit of the vehicle, as of its tilt, which none of the structures has"
+)
+"""Remedy where small and large commands do not agree: no law that is tried bounds the acceleration."""
+
 QUANTITIES = 4
 """Number of independent quantities of an axis, for the level of a test of the worst of them."""
 
@@ -73,8 +79,8 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
             f"{name} does not obey {axis.structure}: {told}",
             f"{', '.join(refuted)} of {name} would differ on another flight by more than {stated}",
             ("no law that --structure auto tries does better: " if chosen else "fit with --structure auto, or ")
-            + "fly commands of the size and speed that the model is wanted for; predictions of like motion may still "
-            "be good: see validate",
+            + (SMALLER if _by_size(axis) else "fly commands of the size and speed that the model is wanted for")
+            + "; predictions of like motion may still be good: see validate",
             name,
         )
         return
@@ -85,9 +91,19 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
         f"the intervals of {name} are that much wider, so that they hold for other flights of the vehicle",
         ("" if stamped else STAMPS_ALONE)
         + ("" if chosen else "fit with --structure auto; ")
-        + "flights with commands of several sizes and speeds show what is missing",
+        + (SMALLER if _by_size(axis) else "flights with commands of several sizes and speeds show what is missing"),
         name,
     )
+
+
+def _by_size(axis: Axis) -> bool:
+    """Whether small and large commands give different coefficients."""
+    return any(one.test == "size" for one in axis.evidence)
+
+
+def with_size(axis: Axis, remedy: str) -> str:
+    """The remedy of another finding for the doubts of a law, after the one for commands of different sizes."""
+    return f"{SMALLER}; {remedy}" if _by_size(axis) else remedy
 
 
 def contradicted(axis: Axis) -> Predictor | None:
