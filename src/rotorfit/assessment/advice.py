@@ -14,6 +14,7 @@ from rotorfit.assessment.frequency.loop import seem_to_answer
 from rotorfit.assessment.law_findings import contradicted, disagreement_findings, law_findings, with_size
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings
+from rotorfit.assessment.tilt_limit import findings_of_tilt
 from rotorfit.core.finding import OTHER_STAMPS, WRONG_FRAME, Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
@@ -182,6 +183,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
                 found += findings_of_braking(name, *fit.braking[name], whole)
         found += _paper_findings(fit, k)
         found += _instrument_findings(fit, name)
+    found += (one for one in findings_of_tilt(fit) if one.axis not in wrong)
     found += _bias_findings(fit.model.method)
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)

@@ -1,0 +1,102 @@
+"""A velocity loop at its tilt limit: told where the limit shows, and only there."""
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import cast
+
+import numpy as np
+import pytest
+
+from flights import by_hand
+from models import demo_card, model_of
+from rotorfit.assessment.tilt_limit import findings_of_tilt
+from rotorfit.core.card import Card
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.limits import GRAVITY
+from rotorfit.core.results import Fit
+
+POINTS = {"x": (4.5, 1.5, 0.18), "y": (4.7, 1.8, 0.17)}
+"""Input, damping and delay of a vehicle that takes fractions of 3 m/s."""
+
+TILT = math.radians(20)
+BOUND = GRAVITY * math.tan(TILT)
+STEP = 0.01
+
+
+def card(meaning: str = "velocity", full_scale: str = "speed", limits: str = "tilt = 0.34907\nspeed = 3.0") -> Card:
+    asked = f'meaning = "{meaning}", full_scale = "{full_scale}"'
+    return demo_card(limits, **{k: f'{{ from = "/cmd_vel:twist.linear.{k}", {asked} }}' for k in POINTS})
+
+
+@cache
+def flown(size: float, bound: float = math.inf, wind: float = 0.0, duration: float = 60.0) -> Flight:
+    """Steps of x and y of so many m/s^2, by a vehicle that turns and accelerates by no more than a bound, in gusts."""
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, duration, STEP)
+    command = np.zeros((len(time), 4))
+    for k in (0, 1):
+        level = size * rng.choice([-1.0, 1.0], 200) * rng.uniform(0.4, 1.0, 200)
+        command[:, k] = level[np.searchsorted(np.cumsum(rng.uniform(0.4, 1.8, 200)), time)]
+    points = [(g, b, round(tau / STEP)) for g, b, tau in POINTS.values()]
+    damping = np.array([b for _, b, _ in points])
+    yaw = 1.5 * np.sin(0.4 * time)
+    velocity, position, gust = np.zeros((len(time), 2)), np.zeros((len(time), 2)), np.zeros(2)
+    for i in range(1, len(time)):
+        c, s = math.cos(yaw[i]), math.sin(yaw[i])
+        turn = np.array([[c, -s], [s, c]])
+        wanted = np.array([g * command[max(i - late, 0), k] for k, (g, _, late) in enumerate(points)])
+        wanted -= damping * (velocity[i - 1] @ turn)
+        wanted *= min(1.0, bound / max(float(np.hypot(*wanted)), 1e-9))
+        gust += -gust * STEP + wind * math.sqrt(2 * STEP) * rng.standard_normal(2)
+        velocity[i] = velocity[i - 1] + STEP * (turn @ wanted + gust)
+        position[i] = position[i - 1] + STEP * (velocity[i] + velocity[i - 1]) / 2
+    pose = np.column_stack([position, np.zeros(len(time)), yaw])[::3]
+    pose[:, :2] += 0.002 * rng.standard_normal((len(pose), 2))
+    return by_hand(time[::3], pose, time, command)
+
+
+def found(flight: Flight, of: Card | None = None, **status: str) -> dict[str | None, Finding]:
+    model = model_of(POINTS, of or card())
+    axes = {name: replace(one, status={**one.status, **status}) for name, one in model.axes.items()}
+    fit = cast("Fit", type("Fitted", (), {"model": replace(model, axes=axes), "flights": (flight,)}))
+    return {finding.axis: finding for finding in findings_of_tilt(fit)}
+
+
+def test_steps_that_ask_for_more_than_the_tilt_limit_gives_are_told_of_each_axis() -> None:
+    told = found(flown(0.8, BOUND))
+
+    assert {axis: one.severity for axis, one in told.items()} == {"x": "warning", "y": "warning"}
+    assert "more acceleration than the 3.57 m/s^2 of the card's tilt limit, 20 deg" in told["x"].evidence
+    assert "describe the limit, too" in told["x"].effect
+
+
+def test_the_steps_that_are_proposed_stay_within_the_limit() -> None:
+    remedy = found(flown(0.8, BOUND))["x"].remedy
+    alone, together = (float(part.split()[0]) for part in remedy.split(" by ")[1:3])
+
+    assert alone == pytest.approx(0.8 * BOUND / POINTS["x"][0], abs=0.006)
+    assert found(flown(together / 2, BOUND)) == {}  # from one side of zero to the other
+
+
+@pytest.mark.parametrize("wind", [0.0, 0.6])
+def test_a_vehicle_that_tilts_further_than_its_card_says_is_not_accused(wind: float) -> None:
+    assert found(flown(0.8, wind=wind)) == {}
+
+
+def test_where_the_motion_does_not_show_whether_the_limit_acts_it_is_told_as_a_doubt() -> None:
+    told = found(flown(0.6, BOUND, wind=0.6, duration=25.0))
+
+    assert {one.severity for one in told.values()} == {"info"}
+    assert told["x"].effect.startswith("if the vehicle obeys this limit, ")
+
+
+def test_nothing_is_said_without_a_limit_a_velocity_loop_or_coefficients() -> None:
+    flight = flown(0.8, BOUND)
+
+    assert found(flight, card(limits="speed = 3.0\nyaw_rate = 1.0")) == {}
+    assert found(flight, card("tilt", "tilt")) == {}
+    assert found(flight, damping="not_identifiable") == {}
+    assert set(found(flight, damping="refuted")) == {"x", "y"}
+    assert found(flown(0.8, BOUND, duration=2.0)) == {}
