@@ -8,13 +8,15 @@ from typing import cast
 import numpy as np
 import pytest
 
-from flights import by_hand
+from flights import by_hand, fit_as_flown
 from models import demo_card, model_of
+from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.tilt_limit import findings_of_tilt
 from rotorfit.core.card import Card
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.limits import GRAVITY
+from rotorfit.core.model import Evidence
 from rotorfit.core.results import Fit
 
 POINTS = {"x": (4.5, 1.5, 0.18), "y": (4.7, 1.8, 0.17)}
@@ -100,3 +102,15 @@ def test_nothing_is_said_without_a_limit_a_velocity_loop_or_coefficients() -> No
     assert found(flight, damping="not_identifiable") == {}
     assert set(found(flight, damping="refuted")) == {"x", "y"}
     assert found(flown(0.8, BOUND, duration=2.0)) == {}
+
+
+def test_a_law_that_the_limit_refutes_is_to_be_fitted_to_smaller_steps_not_to_be_changed() -> None:
+    fitted = fit_as_flown([replace(flown(0.8, BOUND), card=card())], axes=("x", "y"))
+    doubt = Evidence("size", "small and large commands do not agree", 1e-6, {"input": 0.1})
+    axes = {**fitted.model.axes, "x": replace(fitted.model.axes["x"], evidence=(doubt,))}
+    told = {
+        (one.code, one.axis): one for one in findings_of_fit(replace(fitted, model=replace(fitted.model, axes=axes)))
+    }
+
+    assert told["tilt_limit_reached", "x"].severity == "warning"
+    assert told["law_doubted", "x"].remedy == told["tilt_limit_reached", "x"].remedy

@@ -155,6 +155,8 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     stamped = {finding.code for finding in told}.isdisjoint(OTHER_STAMPS)
     overturned = any(finding.code == OVERTURNED for finding in found)
     clocked = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
+    tilted = [one for one in findings_of_tilt(fit) if one.axis not in wrong]
+    limited = {one.axis: one.remedy for one in tilted if one.severity == "warning"}
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
@@ -170,8 +172,11 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += _trim_findings(name, axis, flights)
             found += _start_findings(name, axis, flights)
             found += _excitation_findings(name, axis, flights)
-            laws = law_findings(name, axis, stamped)  # no other law explains a vehicle that changed
-            found += (replace(one, remedy=with_size(axis, changed[0].remedy)) if changed else one for one in laws)
+            cause = limited.get(name) or (with_size(axis, changed[0].remedy) if changed else "")
+            laws = law_findings(
+                name, axis, stamped
+            )  # no other law explains a vehicle at its limit, or one that changed
+            found += (replace(one, remedy=cause) if cause else one for one in laws)
         elif contradicted(axis):
             found += law_findings(name, axis, stamped)
         if axis.predictor and name in fit.estimates and name not in wrong:
@@ -183,7 +188,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
                 found += findings_of_braking(name, *fit.braking[name], whole)
         found += _paper_findings(fit, k)
         found += _instrument_findings(fit, name)
-    found += (one for one in findings_of_tilt(fit) if one.axis not in wrong)
+    found += tilted
     found += _bias_findings(fit.model.method)
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
