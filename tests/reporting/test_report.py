@@ -31,11 +31,12 @@ from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.files.cards import builtin_cards
 from rotorfit.reporting import write_figures, write_report
 from rotorfit.reporting.drawing import draw_chart, log_ticks, peaks, ticks
-from rotorfit.reporting.next_steps import Step, beside_target, next_steps, wanted_chart
+from rotorfit.reporting.next_steps import Step, next_steps, wanted_chart
 from rotorfit.reporting.reproduce import card_text, recipe_of
 from rotorfit.reporting.side_by_side import coefficients_side_by_side, flights_side_by_side, leads
 from rotorfit.reporting.tables import paired_rows, score_rows
-from rotorfit.reporting.verdict import Light, better, uses_of, verdict_of, verdict_on
+from rotorfit.reporting.targets import beside_target
+from rotorfit.reporting.verdict import Light, Verdict, better, uses_of, verdict_of, verdict_on
 from rotorfit.reporting.views import Chart, Line, flight_view, overlaid
 from rotorfit.reporting.words import figure, rounded
 
@@ -392,7 +393,7 @@ def test_a_delay_below_zero_is_never_green_whether_a_finding_tells_of_it_or_not(
 def light_of(
     error: float | None, findings: tuple[Finding, ...] = (), word: str = "better", tests: ResidualTests | None = None
 ) -> Light:
-    model = replace(known_model(), findings=findings)
+    model = replace(vague_model(), findings=findings)
     scores = [score("x", error, horizon=h) for h in (0.5, 1.0, 2.0, 5.0)]
     return verdict_of(model, scores, against_hold(word), [{"x": tests or residual()}]).lights[0]
 
@@ -483,7 +484,7 @@ def test_the_model_as_a_whole_is_as_good_as_its_weakest_axis() -> None:
     scores = [score(axis, error, horizon=h) for axis, error in errors.items() for h in (0.5, 1.0, 2.0, 5.0)]
     tests = [dict.fromkeys(AXES, residual())]
 
-    verdict = verdict_of(known_model(), scores, against_hold(), tests)
+    verdict = verdict_of(vague_model(), scores, against_hold(), tests)
     assert verdict.headline == "Yes, for every axis."
     assert verdict.whole == (
         "As a whole: yes. The predictions are proven up to 5 s; over the first second the weakest axis is z, off by "
@@ -496,7 +497,7 @@ def test_a_doubt_about_one_axis_is_named_for_the_whole() -> None:
     scores = [score(axis, 0.01, horizon=h) for axis in AXES for h in (0.5, 1.0, 2.0, 5.0)]
     tests = [{**dict.fromkeys(AXES, residual()), "y": residual(1e-6), "yaw": residual(command_p=1e-6)}]
 
-    verdict = verdict_of(known_model(), scores, against_hold(), tests)
+    verdict = verdict_of(vague_model(), scores, against_hold(), tests)
     assert verdict.headline == "Yes for x and z; with care for y and yaw."
     assert verdict.whole.startswith("As a whole: with care, because of the residuals of y and yaw.")
 
@@ -513,6 +514,26 @@ def test_coefficients_are_green_only_where_no_finding_warns_of_them(
 
     assert (light.lamps[1].colour, light.lamps[1].word) == (colour, word)
     assert light.colour == colour
+
+
+def test_a_yes_names_the_coefficients_that_miss_the_targets_the_page_has() -> None:
+    scores = [score(axis, 0.01) for axis in AXES]
+    model = vague_model()
+    wide = replace(model.axes["y"], stderr={**model.axes["y"].stderr, "delay": 0.01})
+    vague = replace(model, axes={**model.axes, "y": wide})
+
+    def verdict(of: Model) -> Verdict:
+        return verdict_of(of, scores, against_hold(), [dict.fromkeys(AXES, residual())])
+
+    told = verdict(vague)
+    assert told.headline == "Yes, for every axis. Not exact enough to tune a controller: delay of y."
+    assert told.lights[1].lamps[1].word == "known, short of targets"
+    assert told.lights[1].lamps[1].text.endswith("exceed the targets: delay 2.0 times.")
+    assert "Not exact" not in verdict(model).headline
+    assert "Not exact" not in verdict(replace(vague, method="oe")).headline  # the page has no targets then
+    assert (
+        "Not exact" not in verdict(replace(vague, findings=(Finding("few", "warning", "a", "b", "c", "y"),))).headline
+    )
 
 
 def test_times_better_means_the_smaller_of_both_factors_at_every_horizon() -> None:
@@ -623,7 +644,8 @@ def test_a_flight_that_was_misread_neither_proves_a_model_nor_condemns_it() -> N
 
 def test_the_light_is_unlit_where_there_is_no_model_and_red_where_it_diverged() -> None:
     model = known_model(("x",))
-    model = replace(model, axes={**model.axes, "yaw": unknown_axis("diverged")})
+    exact = vague_model().axes["x"]
+    model = replace(model, axes={**model.axes, "x": exact, "yaw": unknown_axis("diverged")})
 
     verdict = verdict_of(model, [score("x", 0.05), score("yaw", None)], against_hold())
     assert [light.colour for light in verdict.lights] == ["green", "grey", "grey", "red"]

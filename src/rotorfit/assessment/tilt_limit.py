@@ -161,7 +161,8 @@ def _driven(flight: Flight, time: Array, yaw: Array, points: Mapping[int, Predic
         law_of(STRUCTURES[WITH_LAG if point.extra else STRUCTURE], point.input, point.damping, point.delay, point.extra)
         for point in (points.get(k, none) for k in (0, 1))
     ]
-    return free_run(flight.command_time, flight.command[:, :2], np.array(laws), *np.zeros((2, 2)), time, yaw)[:, 2:]
+    rest = np.zeros(2)
+    return free_run(flight.command_time, flight.command[:, :2], np.array(laws), rest, rest, time, yaw)[:, 2:]
 
 
 def _beyond(
@@ -195,7 +196,9 @@ def _shown(parts: list[Asked]) -> tuple[float, float]:
 
     The variance is that between parts of a flight, of which as many count as hold much of the excess.
     """
-    weight, product, count = [], [], round(LINKED / GRID)
+    weight: list[Array] = []
+    product: list[Array] = []
+    count = round(LINKED / GRID)
     for part in parts:
         begins = np.arange(0, len(part.cut), count)
         both = ((part.cut * one).sum(axis=1) for one in (part.expected, part.measured))

@@ -11,12 +11,12 @@ from rotorfit.core.errors import PlanError
 from rotorfit.core.finding import OTHER_STAMPS
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
-from rotorfit.core.laws import given_by_law
-from rotorfit.core.model import COEFFICIENTS, FROZEN, NORMAL, Axis, Model
+from rotorfit.core.model import FROZEN, Axis, Model
 from rotorfit.estimation.methods import maximises_likelihood
 from rotorfit.planning.belief import belief_from_model
-from rotorfit.planning.next_flight import WANTED, wanted_errors, worst_group
+from rotorfit.planning.next_flight import wanted_errors, worst_group
 from rotorfit.reporting.reproduce import axes_asked, fit_words, structure_asked
+from rotorfit.reporting.targets import beside_target
 from rotorfit.reporting.verdict import STATUS, Lamp, Use, Verdict, untried
 from rotorfit.reporting.views import ChartRow, RowChart
 from rotorfit.reporting.words import and_list, figure, sentences, term_of
@@ -161,27 +161,6 @@ def _flight(case: Case, what: str, why: str, axes: Sequence[str], name: str = "n
     output = f"{name}-{'-'.join(axes)}.toml"  # several steps may be followed
     words = ["rotorfit", "plan", "--after", case.path, "--axes", ",".join(axes), "--room", ROOM, "-o", output]
     return Step(what, why, shlex.join(words))
-
-
-def beside_target(axis: Axis) -> Mapping[str, float]:
-    """Estimated coefficient to its standard error for the vehicle over the target; infinite where it is not known.
-
-    An interval that other laws widen counts by its width.
-    """
-    if axis.predictor is None:
-        return {}
-    given = given_by_law(axis.structure)
-    return {name: _beside_target(axis, name) for name in COEFFICIENTS if name not in given}
-
-
-def _beside_target(axis: Axis, name: str) -> float:
-    value, error, (low, high) = getattr(axis, name), axis.stderr[name], axis.ci95[name]
-    if low is not None and high is not None:
-        error = max(error or 0.0, (high - low) / (2 * NORMAL))
-    if axis.status[name] != "ok" or value is None or error is None:
-        return np.inf
-    target = WANTED[COEFFICIENTS.index(name)]
-    return float(error / (target if name == "delay" else target * abs(value)))
 
 
 def wanted_chart(case: Case) -> RowChart | None:

@@ -16,7 +16,8 @@ from rotorfit.core.model import FROZEN, Axis, Model
 from rotorfit.core.residuals import ResidualTests
 from rotorfit.core.results import HORIZONS, Difference, PairedTest
 from rotorfit.estimation.methods import maximises_likelihood
-from rotorfit.reporting.words import and_list, chance, figure, sentences
+from rotorfit.reporting.targets import beside_target
+from rotorfit.reporting.words import and_list, chance, figure, sentences, term_of
 
 USEFUL = 2.0
 """Least ratio of the errors of holding the velocity to those of a usable model."""
@@ -186,6 +187,9 @@ GAPS = "use it to predict, but do not read the coefficients that are doubted one
 TOO_SURE = "an estimator that takes its noise for white is too sure: give it more"
 """Advice on coloured residuals, for a filter."""
 
+SHORT = "Enough to predict; gains that are tuned from them need more, as their standard errors exceed the targets"
+"""What is said of known coefficients that miss the targets of a controller."""
+
 GRAVITY = ("red", "grey", "open", "yellow", "green")
 """Colours, from the worst to the best."""
 
@@ -225,6 +229,7 @@ class Light:
         error: Velocity error at the planning horizon, with its unit; None if it was not scored.
         sentences: How well it predicts.
         lamps: Lamps for predictions, coefficients and residuals.
+        missed: Its coefficients that miss the targets of a controller.
     """
 
     axis: str
@@ -233,6 +238,7 @@ class Light:
     error: str | None
     sentences: tuple[str, ...]
     lamps: tuple[Lamp, ...]
+    missed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -291,7 +297,8 @@ def verdict_of(
     """Judges a model by its scores on validation flights, its statuses, its findings and the tests of its residuals.
 
     Each axis has three lamps. Predictions: see `uses_of`, at the planning horizon. Coefficients: green if all are known
-    and no finding warns of them, including findings about the residuals. Residuals: green if no test rejects the model
+    and no finding warns of them, including findings about the residuals; those that miss the targets of a controller
+    are named, in the headline, too. Residuals: green if no test rejects the model
     at 95 %. The light of the axis is the worst of the three.
 
     Args:
@@ -349,7 +356,8 @@ def _light(
     said = [] if use.velocity is None else _sentences(use, uses, scores, model.method)
     if use.velocity is not None and speed is not None:
         said.append(f"tested at up to {_speed(axis, speed)}")
-    return Light(axis, colour, _word(colour, reach(uses)), error, sentences([*said, *_answers(known)]), lamps)
+    word, told = _word(colour, reach(uses)), sentences([*said, *_answers(known)])
+    return Light(axis, colour, word, error, told, lamps, tuple(_missed(model, axis)))
 
 
 def _word(colour: str, furthest: float | None) -> str:
@@ -380,7 +388,18 @@ def _coefficients(model: Model, axis: str) -> Lamp:
         asked = [*([GAPS] if gaps else []), *(f.remedy for f in warnings if not _of_residuals(f))]
         text = " ".join(sentences(told[:MOST_REASONS])) + more
         return Lamp("coefficients", "red" if forbidden else "yellow", word, text, "; ".join(asked[:1]))
-    return Lamp("coefficients", "green", "known", "Each has an interval, and no finding warns.")
+    text, missed = "Each has an interval, and no finding warns.", _missed(model, axis)
+    if not missed:
+        return Lamp("coefficients", "green", "known", text)
+    by = and_list([f"{term_of(name)} {figure(share)} times" for name, share in missed.items()])
+    return Lamp("coefficients", "green", "known, short of targets", f"{text} {SHORT}: {by}.")
+
+
+def _missed(model: Model, axis: str) -> dict[str, float]:
+    """Coefficients of an axis whose standard errors exceed the targets of a controller, and the ratios to these."""
+    if not maximises_likelihood(model.method):
+        return {}
+    return {name: share for name, share in beside_target(model.axes[axis]).items() if share > 1}
 
 
 def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
@@ -554,7 +573,10 @@ def _headline(lights: Sequence[Light]) -> str:
         parts = [f"{parts[0].partition(' for ')[0]}, for every axis"]
     missing = f" There is no model of {and_list(by['grey'])}." if by["grey"] else ""
     told = "; ".join(parts)
-    return f"{told[:1].upper()}{told[1:]}.{missing}"
+    short = [light for light in lights if light.colour == "green" and light.missed]
+    targets = and_list([f"{and_list([term_of(name) for name in light.missed])} of {light.axis}" for light in short])
+    beside = f" Not exact enough to tune a controller: {targets}." if short else ""
+    return f"{told[:1].upper()}{told[1:]}.{beside}{missing}"
 
 
 def _whole(
