@@ -417,7 +417,7 @@ def test_axes_that_a_frozen_pose_spoils_are_sent_to_the_pose_and_not_to_another_
         predictor_of(stored, "z")
     plans, proposal = planned(Request(after=stored, design="multisine", duration=20.0))
     assert proposal is not None
-    assert proposal.reason.startswith("x, y: the worst known axes")
+    assert proposal.reason.startswith("x, y: flown together, ")
     assert any(note.startswith("z: ") and note.endswith(mend) for note in plans[0].belief["notes"])
     page = tmp_path / "report.html"
     ran("report", model, words[0], "-o", str(page))

@@ -249,6 +249,17 @@ def test_the_next_flight_flies_what_is_worst_known_and_shrinks_it() -> None:
     assert next_flight(CARD, ROOM, known, 20.0, design="multisine").reason.endswith("so no further flight is needed")
 
 
+def test_other_axes_that_miss_targets_are_named_beside_the_worst_known() -> None:
+    vague = belief_from_model(model_of(VEHICLE, CARD, error=0.08), "m.json")
+    reason = next_flight(CARD, ROOM, vague, 20.0, design="multisine").reason
+    first, *others = [axis for axis in AXES if f"{axis} is the worst known axis" in reason] or [reason.split(":")[0]]
+    assert not others
+    assert f"of {first} is " in reason
+    flown = reason.split(":")[0].split(", ")
+    told = ", ".join(axis for axis in AXES if axis not in flown)
+    assert reason.endswith(f"; {told}: targets are missed, too, --axes plans for them")
+
+
 def test_a_proposal_is_never_cut_to_what_a_fit_calls_short() -> None:
     known = belief_from_model(model_of(VEHICLE, CARD, error=0.001), "m.json")
     proposal = next_flight(CARD, ROOM, known, 40.0, design="multisine", axes=("z",))

@@ -186,9 +186,9 @@ def _product(reach: float, meaning: Meaning, damping: float, spread: float) -> t
 def belief_from_model(model: Model, where: str) -> Belief:
     """The belief about a vehicle, its air and its room from a fitted model, completed by the model's card.
 
-    It uses the likelihood's own estimates with their covariance, as wide as the intervals where these cover several
-    laws, the levels of the disturbance, the fewest fresh poses a second of its flights, and the spread of the trims
-    over them. No uncertainty exceeds `UNKNOWN_SHARE`.
+    It uses the likelihood's own estimates with their covariance, as wide as the intervals where these are of another
+    law or cover several, the levels of the disturbance, the fewest fresh poses a second of its flights, and the spread
+    of the trims over them. No uncertainty exceeds `UNKNOWN_SHARE`.
 
     Args:
         model: From a fit by the likelihood.
@@ -232,7 +232,10 @@ def belief_from_model(model: Model, where: str) -> Belief:
     richer = {axis: model.axes[axis].structure for axis in known if model.axes[axis].structure != STRUCTURE}
     if richer:
         laws = ", ".join(dict.fromkeys(richer.values()))
-        notes.append(f"{', '.join(richer)}: planned for the first-order law with a delay, not for {laws}")
+        notes.append(
+            f"{', '.join(richer)}: planned for the first-order law with a delay, not for {laws}; errors before the "
+            "flight are those of the model's intervals"
+        )
     refuted = [axis for axis in known if "refuted" in model.axes[axis].status.values()]
     if refuted:
         notes.append(
@@ -307,15 +310,22 @@ def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
         known[: len(law.stderr), : len(law.stderr)] = law.covariance
         bound = np.array([*UNKNOWN_SHARE, np.nan]) * values[at]
         bound[2] = DELAY[1]
-        if len(model.axes[axis].laws) > 1:
-            out[at, at] = _over_laws(model.axes[axis], law, np.abs(bound))
+        if _beyond(model.axes[axis]):
+            out[at, at] = _as_its_intervals(model.axes[axis], law, np.abs(bound))
             continue
         out[at, at] = np.linalg.inv(np.linalg.inv(known) + np.diag(1 / bound**2))
     return out
 
 
-def _over_laws(axis: Axis, law: Weighed, bound: Array) -> Array:
-    """Covariance of an axis whose intervals cover several laws: as wide as these, correlated as in one, shape (3, 3).
+def _beyond(axis: Axis) -> bool:
+    """Whether the intervals of an axis are those of another law than the planned one, or of several."""
+    return len(axis.laws) > 1 or axis.structure != STRUCTURE
+
+
+def _as_its_intervals(axis: Axis, law: Weighed, bound: Array) -> Array:
+    """Covariance as wide as the intervals of an axis, correlated as in the planned law, shape (3, 3).
+
+    The tests of a law widen the intervals of the one that is published, not those of the one stored beside it.
 
     Args:
         axis: The axis.

@@ -123,7 +123,7 @@ def next_flight(
         after=_table(after),
         wanted=_table(wanted),
         tried=left,
-        reason=_reason(before / wanted, group, axes is not None),
+        reason=_reason(before / wanted, group, () if axes else free, axes is not None),
     )
 
 
@@ -158,15 +158,21 @@ def _enough(plan: Plan, after: Array, wanted: Array, axes: Sequence[str]) -> flo
     return float(min(max(needed, LEAST), plan.duration))
 
 
-def _reason(ratio: Array, group: Sequence[str], named: bool) -> str:
-    rows = {axis: ratio[3 * AXES.index(axis) : 3 * AXES.index(axis) + 3] for axis in group}
+def _reason(ratio: Array, group: Sequence[str], free: Sequence[str], named: bool) -> str:
+    """Why these axes: the worst known of them, and which of the others miss targets, too."""
+    rows = {axis: ratio[3 * AXES.index(axis) : 3 * AXES.index(axis) + 3] for axis in (*group, *free)}
     axis = max(group, key=lambda each: float(rows[each].max()))
     name, times = COEFFICIENTS[int(np.argmax(rows[axis]))], float(rows[axis].max())
-    axes = "axis" if len(group) == 1 else "axes"
-    chosen = f"the {axes} asked for" if named else f"the worst known {axes}"
+    if named:
+        chosen = f"the {'axis' if len(group) == 1 else 'axes'} asked for"
+    else:
+        chosen = "the worst known axis" if len(group) == 1 else f"flown together, {axis} is the worst known axis"
     met = f"; {'their' if named else 'all'} targets are met, so no further flight is needed" if times <= 1 else ""
+    more = [each for each in free if each not in group and float(rows[each].max()) > 1]
+    too = f"; {', '.join(more)}: targets are missed, too, --axes plans for them" if more else ""
     return (
-        f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the target{met}"
+        f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the "
+        f"target{met}{too}"
     )
 
 

@@ -156,7 +156,7 @@ def _table(panel: Axes, plan: Plan) -> None:
     from matplotlib.transforms import Bbox
 
     panel.axis("off")
-    panel.set_title("known after the flight, 95 % intervals")
+    panel.set_title("told by this flight alone, 95 % intervals")
     rows = [[cell.replace("+-", "\u00b1") for cell in row] for row in expected_rows(plan)]
     cells = [["", *EXPECTED_HEADS], *rows]
     height = 0.17 * len(cells)

@@ -36,9 +36,9 @@ def plan_view(plan: Plan) -> View:
     yield from bullets([UNDER_ONE_LAW, *plan.predicted.get("notes", ()), *plan.belief.get("notes", ())])
     yield from bullets(_run_on(plan))
     yield Text(
-        f"+-: half of the 95 % interval that is expected, over {plan.predicted['vehicles']} vehicles that are believed "
-        f"possible. Middle 95 %: of {plan.predicted['draws']} of them, with wind and trim; 2.5 % reach further down, "
-        f"2.5 % further up. {_leaving(plan)}",
+        f"+-: half of the 95 % interval expected of a fit to this flight alone, over {plan.predicted['vehicles']} "
+        f"vehicles that are believed possible. Middle 95 %: of {plan.predicted['draws']} of them, with wind and trim; "
+        f"2.5 % reach further down, 2.5 % further up. {_leaving(plan)}",
         style="dim",
     )
 
@@ -162,7 +162,7 @@ def _range(low: float, high: float, digits: int = 2) -> str:
 
 def _errors(plan: Plan) -> Table:
     """Table of the belief, and of the accuracy that the flight will give."""
-    shown = table("known after", *EXPECTED_HEADS, gap=3)
+    shown = table("this flight tells", *EXPECTED_HEADS, gap=3)
     for row in expected_rows(plan):
         shown.add_row(*row)
     return shown
@@ -185,6 +185,7 @@ def next_view(proposal: NextFlight) -> View:
     for name, before, after, wanted in _rows(proposal):
         shown.add_row(name, *(three_digits(value) for value in (before, after, wanted)))
     yield shown
+    yield indented("before: the model's; after: with this flight fitted as well", 0, "dim")
     yield ""
 
 
