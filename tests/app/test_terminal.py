@@ -13,7 +13,7 @@ from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.app.terminal.tracking import alarm_view, line_of, news, track_view
 from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Combination, Evidence, Mode, Model
+from rotorfit.core.model import Combination, Evidence, Mode, Model, Spread
 from rotorfit.core.tracked import UNMOVED, Air, Alarm, Regime, Track, Tracked, TrackedAxis
 
 
@@ -51,6 +51,18 @@ def test_a_delay_that_the_law_does_not_have_is_given_and_not_measured(capsys: py
     rows = rows_of(model({"x": replace(axis(), structure="first_order", delay=0.0, ci95=ends)}), capsys)
 
     assert rows["delay"] == ["0", "by", "the", "law", "s", "given"]
+
+
+def test_several_flights_tell_every_coefficient_on_the_next_one(capsys: pytest.CaptureFixture[str]) -> None:
+    of_flights = Spread("flights", 0.1, 0.1, 0.1, 2, 0.5, (3.5, 4.5), True)
+    spread = {"input": of_flights, "steady_gain": replace(of_flights, next_flight=(None, 21.0))}
+    known = replace(axis({"steady_gain": Combination(20.0, (19.5, 20.5))}), spread=spread)
+
+    show(model_view(model({"x": known}), ("x",)))
+    assert "x on the next flight, 95 %: input 3.50 to 4.50, steady gain open to 21" in capsys.readouterr().out
+    one = {name: replace(each, source="prior") for name, each in spread.items()}
+    show(model_view(model({"x": replace(known, spread=one)}), ("x",)))
+    assert "next flight" not in capsys.readouterr().out
 
 
 def test_the_papers_coefficients_stand_beside_even_where_the_likelihood_has_none(

@@ -8,9 +8,12 @@ import pytest
 
 from flights import fit_as_flown
 from logs import Csv
+from models import model_of
 from rotorfit.app.workflows import load_flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import Spread
 from rotorfit.core.plain import plain_toml
-from rotorfit.estimation.clock_uncertainty import clock_half_width
+from rotorfit.estimation.clock_uncertainty import clock_half_width, with_delay_error
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import parse_log
 from rotorfit.files.logs import read
@@ -147,3 +150,14 @@ def test_what_all_stamps_of_a_link_may_be_off_by_alike_does_not_shrink_with_the_
     assert clock_half_width(flights, "z") == pytest.approx(0.03)
     low, high = fit_as_flown(flights, ("z",)).model.axes["z"].ci95["delay"]  # though the cards state other errors
     assert high - low > 0.06  # type: ignore[operator]
+
+
+def test_the_delay_of_the_next_flight_is_as_uncertain_as_the_clocks_at_least() -> None:
+    model = model_of()
+    spread = Spread("flights", 0.004, 0.004, 0.0, 2, 0.5, (0.08, 0.12), False)
+    x = replace(model.axes["x"], spread={"delay": spread, "input": replace(spread, next_flight=(3.0, 4.0))})
+    out = with_delay_error(replace(model, axes={**model.axes, "x": x}), {"x": 0.03}, (AXES,), {"x": (0.0, 0.04)})
+
+    told = out.axes["x"].spread
+    assert told["delay"].next_flight == pytest.approx((0.1 - np.hypot(0.02, 0.03), 0.1 + np.hypot(0.02, 0.03) + 0.04))
+    assert told["input"].next_flight == (3.0, 4.0)

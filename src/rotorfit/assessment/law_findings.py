@@ -88,7 +88,7 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
         "law_doubted",
         "info",
         f"{name} does not quite obey {axis.structure}: {told}",
-        f"the intervals of {name} are that much wider, so that they hold for other flights of the vehicle",
+        f"the intervals of {name} are that much wider: they allow for what the law leaves out",
         ("" if stamped else STAMPS_ALONE)
         + ("" if chosen else "fit with --structure auto; ")
         + (SMALLER if _by_size(axis) else "flights with commands of several sizes and speeds show what is missing"),
@@ -153,7 +153,7 @@ def disagreement_findings(fit: Fit) -> Iterator[Finding]:
             f"the {spread.flights} flights that determine {name} differ by more than their own errors, most in "
             f"{quantity.replace('_', ' ')}: {values} (p = {spread.p_value:.1g})"
             + "".join(f"; {line}" for line in lines),
-            f"the intervals of {name} cover the vehicle over such flights; on the next one "
+            f"the intervals of {name} are of the vehicle's mean over such flights; on the next one "
             f"{quantity.replace('_', ' ')} lies in {_ends(spread)}",
             "compare the settings, payload, battery and wind of the flights that stand out; what cannot be explained "
             "is in the intervals",

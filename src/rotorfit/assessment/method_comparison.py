@@ -201,7 +201,7 @@ def agreement(rung: Axis, best: Axis) -> dict[str, Agreement]:
 def _error(axis: Axis, name: str) -> float | None:
     """Standard error of a coefficient over flights like these: as its 95 % interval of them has it, if that is closed.
 
-    That of the vehicle holds what other flights may be, which no difference of two estimates from one flight contains.
+    That of the vehicle allows for how flights differ, which no difference of two estimates from one flight contains.
     """
     low, high = axis.ci95_flight.get(name, axis.ci95[name])
     return axis.stderr[name] if low is None or high is None else (high - low) / (2 * NORMAL)

@@ -59,6 +59,7 @@ class CoefficientRow:
         status: Status of the coefficient; of a combination `ok`, or `open` if an end is missing.
         paper: Estimate of the paper's regression from the same data.
         flight: 95 % interval for these flights alone, if that for the vehicle differs.
+        next_flight: 95 % interval for another flight, where several flights tell how flights differ.
         given: Whether the law fixes the value, instead of the data.
     """
 
@@ -75,6 +76,7 @@ class CoefficientRow:
     status: str
     paper: float | None
     flight: Interval | None = None
+    next_flight: Interval | None = None
     given: bool = False
 
 
@@ -104,10 +106,12 @@ def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
         error = axis.stderr.get(part) if kind != "combination" else None
         paper = papers.get(part) if kind != "parameter" else None
         flight = axis.combinations[part].ci95_flight if kind == "combination" else axis.ci95_flight.get(part)
+        spread = axis.spread.get(part)
+        other = spread.next_flight if spread and spread.source == "flights" else None
         given = axis.predictor is not None and part in given_by_law(axis.structure)
         return CoefficientRow(
             name, part, symbol, kind, unit, per if of_command else "", value, error, *ends,
-            "given" if given else status, paper, flight, given,
+            "given" if given else status, paper, flight, other, given,
         )  # fmt: skip
 
     for part in COEFFICIENTS:

@@ -81,7 +81,7 @@ class Spread:
         flights_sd: Estimate from the flights alone, by restricted maximum likelihood; None for one flight.
         flights: Number of flights that gave it.
         p_value: Probability that flights without variation scatter at least as much; None for one flight.
-        next_flight: 95 % interval for another flight, without its own noise.
+        next_flight: 95 % interval for another flight, without its own noise; that of the vehicle is of its mean.
         logarithmic: Whether `sd` is that of the logarithm.
         each: Estimate from each flight of the fit alone and its standard error, on the same scale; None where the
             flight gives none. Empty for one flight.

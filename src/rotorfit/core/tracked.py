@@ -62,7 +62,7 @@ class TrackedAxis:
         knowledge: In one word.
         state: In words, such as `holding (no excitation for 12 s)`.
         values: Name of `QUANTITIES` to its estimate; None where it is not told.
-        ci95: The same to the 95 % interval for the vehicle, on this flight or another; an open end is None.
+        ci95: The same to the 95 % interval for the vehicle over its flights; an open end is None.
         ci95_flight: The same to the interval for this flight alone, assuming a vehicle that obeys its law exactly.
         structure: Name of the law.
         wind: Acceleration that the commands do not explain, including the trim [m/s^2, rad/s^2]; None where unknown.

@@ -180,6 +180,12 @@ def _widened(axis: Axis, half: float, beyond: Ends) -> Axis:
             name: _combination(one, half, beyond) if name in _WITH_DELAY else one
             for name, one in axis.combinations.items()
         },
+        spread={
+            name: replace(one, next_flight=wider(one.next_flight, _middle(one.next_flight, None, center), half, beyond))
+            if name in DELAYS
+            else one
+            for name, one in axis.spread.items()
+        },
     )
 
 

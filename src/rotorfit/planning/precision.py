@@ -167,7 +167,7 @@ def predicted_errors(
         seed: Seed of the draws, the wind and the noise.
         before: Information from earlier flights, shape (12, 12).
         progress: Called with a fraction and a text; raising in it cancels.
-        of_vehicle: Whether the errors hold for the vehicle on any flight; else for these flights alone.
+        of_vehicle: Whether the errors hold for the vehicle over its flights; else for these flights alone.
     """
     return precision_of(informations(plans, belief, draws, seed, progress, of_vehicle=of_vehicle), before)
 

@@ -136,8 +136,8 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
         lines=(Line("profile likelihood", "model", value),),
         reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "
         f"stays above the dashed line (−{fall:.2f}) lies the 95 % interval of this law for these flights alone, if "
-        "their stamps are right. The shaded one is the vehicle's: it also covers other laws, other flights, and what "
-        "stamps leave unknown. Dots are optima that were found; hollow ones lie beyond the picture.",
+        "their stamps are right. The shaded one is the vehicle's: it also covers other laws, how flights differ, and "
+        "what stamps leave unknown. Dots are optima that were found; hollow ones lie beyond the picture.",
         summary=f"{name}: {told}95 % interval for the vehicle {_end(low)} to {_end(high)} s{reached}.",
         marks=marks,
         levels=((-fall, f"−{fall:.2f}"),),

@@ -36,7 +36,8 @@ class Bar:
 class RowText:
     """A row of the table of coefficients, ready to print; `kind` is `ok`, `missing`, `bad` or `combination`.
 
-    `interval` is that of the vehicle, `flight` that of the flights alone, empty if it is the same.
+    `interval` is that of the vehicle, `flight` that of the flights alone, empty if it is the same; `next_flight` that
+    of another flight, empty where one flight alone was fitted.
     """
 
     term: str
@@ -45,6 +46,7 @@ class RowText:
     stderr: str
     interval: str
     flight: str
+    next_flight: str
     unit: str
     status: str
     paper: str
@@ -87,6 +89,7 @@ def _row_text(row: CoefficientRow) -> RowText:
         stderr=rounded(row.stderr, row.stderr),
         interval=interval,
         flight=_ends_text(row.flight, scale) if row.flight else "",
+        next_flight=_ends_text(row.next_flight, scale) if row.next_flight else "",
         unit=unit_text(row),
         status=row.status.replace("_", " "),
         paper=paper,

@@ -45,6 +45,7 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     combined = any(axis.combinations for axis in known.values())
     legend = f"; steady gain = input / damping; total lag = delay + 1 / damping{_lags(known)}" if combined else ""
     yield indented(f"input is per command of 1{legend}", 0, "dim")
+    yield from bullets(_next_flight_lines(model, wanted))
     yield from bullets(_search_lines(known))
     if model.uncertainty:
         table_of, by_axis = model.uncertainty, model.axes
@@ -104,6 +105,15 @@ def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
             "" if combined else row.status,
         )
     return out
+
+
+def _next_flight_lines(model: Model, axes: Sequence[str]) -> Iterator[str]:
+    """What each axis is on another flight: the interval of the vehicle is that of its mean over flights."""
+    for axis in axes:
+        rows = [row for row in coefficient_rows(model) if row.axis == axis and not row.given]
+        told = [f"{_words(row.name)} {interval_text(row.next_flight)}" for row in rows if row.next_flight]
+        if told:
+            yield f"{axis} on the next flight, 95 %: {', '.join(told)}"
 
 
 def _physics_table(rows: Sequence[PhysicsRow]) -> RenderableType:
