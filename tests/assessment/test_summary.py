@@ -54,6 +54,14 @@ def test_what_is_known_and_what_is_not_is_listed_by_axis() -> None:
     assert "No numbers: no flight excites z or yaw." in found
 
 
+def test_an_axis_whose_command_the_card_does_not_name_is_not_said_to_rest() -> None:
+    known = model({"x": axis(), "y": axis()})
+    card = replace(known.card, command={name: one for name, one in known.card.command.items() if name != "yaw"})
+
+    found = summary_of_model(replace(known, card=card))
+    assert "No numbers: no flight excites z; the card names no command for yaw." in found
+
+
 def test_only_who_has_not_validated_is_asked_to() -> None:
     known = model({"x": axis()})
 

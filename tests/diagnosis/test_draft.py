@@ -12,15 +12,17 @@ from test_survey import csv_log, loaded, log_of, message_log
 from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import heading_from_world, world_from_heading
-from rotorfit.core.log import Log
+from rotorfit.core.log import Log, Table
 from rotorfit.diagnosis import card_choice
 from rotorfit.diagnosis.card_draft import draft_card, write_draft
 from rotorfit.diagnosis.command_response import answers_of
 from rotorfit.diagnosis.doctor import findings_of_flight
+from rotorfit.diagnosis.recognition import commands_in
 from rotorfit.files.cards import builtin_card_text, card_from_mapping, load_card
 from rotorfit.files.logs import read
 from rotorfit.files.logs.several import join_logs
 from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.columns import clocks
 from rotorfit.flights.several_files import bound
 
 # Drafts
@@ -304,6 +306,44 @@ def test_a_written_draft_says_what_it_lacks(tmp_path: Path) -> None:
     log = csv_log(cmd_x="a", cmd_y="b", cmd_z="c", cmd_yaw="")
     assert write_draft(log, tmp_path / "poses.toml") == ("[command] x, y, z or yaw",)
     assert write_draft(csv_log(z="height", yaw=""), tmp_path / "plane.toml") == ("[pose] z", "[pose] yaw or quaternion")
+
+
+def test_a_draft_says_of_which_axes_it_has_no_command(tmp_path: Path) -> None:
+    log = csv_log(cmd_x="cmd_x", cmd_y="ride", cmd_z="dive", cmd_yaw="")
+
+    assert write_draft(log, tmp_path / "x.toml") == ("[command] y, z, yaw if the log has them",)
+    text = (tmp_path / "x.toml").read_text()
+    assert "# No command was recognised for y, z, yaw. Name what the log has, or they get no model." in text
+    assert "INCOMPLETE" not in text
+
+
+def test_a_draft_knows_sticks_motion_capture_and_counters_by_their_short_names(tmp_path: Path) -> None:
+    names = {"cmd_x": "stick_fwd", "cmd_y": "stick_right", "cmd_z": "stick_thr", "cmd_yaw": "stick_rot"}
+    log = csv_log(**names, x="mc_east", y="mc_north", z="mc_up", yaw="mc_hdg")
+    card = loaded(draft_card(log), tmp_path)
+
+    assert {axis: str(one.source) for axis, one in card.command.items()} == {a[4:]: n for a, n in names.items()}
+    assert [str(card.pose[axis].source) for axis in ("x", "y", "z", "yaw")] == [
+        "mc_east",
+        "mc_north",
+        "mc_up",
+        "mc_hdg",
+    ]
+
+
+def test_what_is_to_the_right_is_turned_where_the_motion_does_not_tell() -> None:
+    still = np.zeros(50)
+    log = log_of(sent={"t": np.arange(50) / 10, "stick_fwd": still, "stick_right": still, "stick_left_right": still})
+
+    assert commands_in(log).channels["y"] == Channel("stick_right", scale=-1)
+
+
+def test_a_column_that_counts_milliseconds_is_a_clock_where_there_is_no_other() -> None:
+    count = np.arange(50) * 20.0
+    age = np.where(np.arange(50) % 7, 3.0, 9.0)
+
+    assert list(clocks(Table("a", {"age_ms": age, "tx_ms": count}))) == ["tx_ms"]
+    assert list(clocks(Table("a", {"tx_ms": count, "time": count / 1e3}))) == ["time"]
 
 
 def test_a_draft_that_lacks_essentials_says_which_and_lists_the_columns(tmp_path: Path) -> None:

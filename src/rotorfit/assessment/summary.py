@@ -16,7 +16,7 @@ _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
 _TIMES = ("total_lag", "delay_plus_lag")
 """Combinations that may be near zero: the ratio of the ends of their intervals says nothing."""
 
-_MISREAD = "misread"
+_MISREAD, _UNNAMED = "misread", "unnamed"
 
 _REASONS = {
     "not_excited": "no flight excites {}",
@@ -25,6 +25,7 @@ _REASONS = {
     "refuted": "the flights deny the law of {}",
     FROZEN: "the pose stands still while {} is commanded",
     _MISREAD: "the card reads {} in a wrong frame",
+    _UNNAMED: "the card names no command for {}",
 }
 
 BELIEVED = ", with the card's prior"
@@ -55,6 +56,8 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool =
         said.format(listed([a for a in partly if known[a] == said])) for said in dict.fromkeys(known.values())
     ]
     unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
+    unnamed = [axis for axis, why in unknown.items() if why == "not_excited" and axis not in model.card.command]
+    unknown |= dict.fromkeys(unnamed, _UNNAMED)
     if any(finding.code in WRONG_FRAME and finding.severity == "error" for finding in model.findings):
         served = {axis for flight in model.flights for axis in flight.axes}
         unknown |= {axis: _MISREAD for axis in ("x", "y") if axis in served and unknown.get(axis) == "not_excited"}

@@ -215,6 +215,9 @@ NO_COMMAND = "[command] x, y, z or yaw"
 
 _INCOMPLETE = "# INCOMPLETE: nothing was recognised for "
 
+_UNCOMMANDED = "# No command was recognised for "
+"""Before the axes that get no model, unless their commands are named; the draft is complete without them."""
+
 
 def _heading(log: Log, found: DraftContents) -> list[str]:
     """The head of the draft: what to check, and what is missing."""
@@ -227,10 +230,12 @@ def _heading(log: Log, found: DraftContents) -> list[str]:
         "[pose] yaw or quaternion": _is_whole(pose) or "yaw" in pose.channels,
     }
     missing = [what for what, is_there in there.items() if not is_there]
+    without = [axis for axis in AXES if axis not in found.commands.channels] if found.commands.channels else []
     return [
         f"# Drafted from the names in {visible(log.path.name)}. Check every line, the signs of the commands above all:",
         "# after scale, + must mean forward, left, up, and counter-clockwise seen from above.",
         *([f"{_INCOMPLETE}{'; '.join(missing)}. Fill in the lines marked EDIT."] * bool(missing)),
+        *([f"{_UNCOMMANDED}{', '.join(without)}. Name what the log has, or they get no model."] * bool(without)),
     ]
 
 
@@ -638,7 +643,7 @@ def write_draft(log: Log, path: Path, fresh: bool = False) -> tuple[str, ...]:
     """Writes the draft of a card to a new file; see `draft_card` for the arguments.
 
     Returns:
-        The essentials that it lacks, as its head lists them.
+        The essentials that it lacks, as its head lists them; last, the axes without a command, if others have one.
 
     Raises:
         CardError: The file already exists: it may be a card that somebody has edited.
@@ -651,4 +656,5 @@ def write_draft(log: Log, path: Path, fresh: bool = False) -> tuple[str, ...]:
     text = draft_card(log, fresh)
     write_whole(path, text, keep=False)
     missing = text.partition(_INCOMPLETE)[2].partition(".")[0]
-    return tuple(filter(None, missing.split("; ")))
+    without = text.partition(_UNCOMMANDED)[2].partition(".")[0]
+    return (*filter(None, missing.split("; ")), *([f"[command] {without} if the log has them"] * bool(without)))

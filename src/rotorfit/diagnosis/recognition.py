@@ -47,12 +47,12 @@ _SETPOINT = {axis: f"v_?{axis}|(?:velocity|vel|twist|linear)_{axis}|velocity_{i}
 
 _SETPOINT |= {"yaw": "yaw_?speed|yaw_?rate|r"}
 
-_TURN_RATE = "yaw|yaw_?rate|turn|rudder|psi|psi_?dot|r|w|wz|ang_?z|angular_z"
+_TURN_RATE = "yaw|yaw_?rate|turn|rot|rudder|psi|psi_?dot|r|w|wz|ang_?z|angular_z"
 
 _FORWARD, _LEFT, _UP = (
     "lin_?x|linear_x|vf|pitch|theta|forward|fwd",
-    "lin_?y|linear_y|vl|roll|phi|left",
-    "lin_?z|linear_z|ve|climb|up|throttle|thrust|gaz",
+    "lin_?y|linear_y|vl|roll|phi|left|right",
+    "lin_?z|linear_z|ve|climb|up|throttle|thrust|thr|gaz",
 )
 
 _STICKS = {
@@ -126,7 +126,7 @@ class Recognised:
 def commands_in(log: Log) -> Recognised:
     """Axis to column of the commands, by name; z is a stray where x and y are named velocities, and it is not.
 
-    Beside `gaz` they have the signs of Parrot's SDKs.
+    Beside `gaz` they have the signs of Parrot's SDKs; one named `right` is turned.
     """
     found = _recognised(log, _commands)
     names = {axis: plain_name(str(channel.source).rpartition(":")[2]) for axis, channel in found.channels.items()}
@@ -135,6 +135,8 @@ def commands_in(log: Log) -> Recognised:
             axis: replace(found.channels[axis], scale=-1) for axis in names if re.search(_PARROT_TURNED, names[axis])
         }
         return replace(found, channels={**found.channels, **turned})
+    if re.search(r"(?:^|_)right(?:_|$)", names.get("y", "")) and "left" not in names["y"]:
+        found = replace(found, channels={**found.channels, "y": replace(found.channels["y"], scale=-1)})
     fast = {axis for axis, name in names.items() if re.search(rf"v(?:el)?_?{axis}(?:_|$)", name)}
     height = {"x", "y"} <= fast and "z" not in fast and re.search(r"(?:^|_)z(?:_|$)", names.get("z", ""))
     return replace(found, strays=("z",)) if height else found

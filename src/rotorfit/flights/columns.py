@@ -381,12 +381,23 @@ def clocks_of(table: Table, count: int) -> list[str]:
 
 
 def clocks(table: Table) -> dict[str, int]:
-    """Columns that are named like clocks, or like those of something, and advance; the likeliest first."""
+    """Columns that are named like clocks, or like those of something, and advance; the likeliest first.
+
+    Where there is none, those that count ms, us or ns.
+    """
     plain = {name: name_without_unit(name) for name, values in table.columns.items() if is_series(values)}
     names = {one: name for name, one in plain.items()}
     likely = [names[clock] for clock in _CLOCKS if clock in names]
     likely += [name for name, one in plain.items() if _CLOCK_OF_SOMETHING.fullmatch(one) and name not in likely]
+    if not likely:
+        likely = [name for name in plain if _counts_time(table, name)]
     return {name: table.columns[name].size for name in likely if _advances(table.columns[name].ravel().astype(float))}
+
+
+def _counts_time(table: Table, name: str) -> bool:
+    """Whether a column is in a unit of time by its name and never goes back: `tx_ms`, not `latency_ms`."""
+    values = table.columns[name].ravel().astype(float)
+    return unit_of_name(name) in ("ms", "us", "ns") and bool(np.all(np.diff(values[np.isfinite(values)]) >= 0))
 
 
 def _advances(stamps: Array) -> bool:
