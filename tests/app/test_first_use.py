@@ -116,16 +116,16 @@ def test_where_no_process_can_be_started_the_fit_goes_on(
 
 
 def test_what_is_compiled_for_long_is_told(started: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
-    ends = iter([None, None, 0] + [0] * 100)
-    monkeypatch.setattr(Process, "poll", lambda _: next(ends))
     monkeypatch.setattr(parallel, "processors", lambda: 1)
     told: list[str] = []
-
-    compile_beforehand(FITTING, lambda _, text: told.append(text))
+    for wanted in (FITTING, TRACKING):
+        ends = iter([None, None, 0] + [0] * 100)
+        monkeypatch.setattr(Process, "poll", lambda _, ends=ends: next(ends))
+        compile_beforehand(wanted, lambda _, text: told.append(text))
 
     assert started
-    assert told
-    assert all(first_use.TEXT in text for text in told)
+    parts = [text.partition(", once after an installation: ")[0] for text in told]
+    assert list(dict.fromkeys(parts)) == ["compiling the estimator", "compiling what follows a vehicle"]
 
 
 @pytest.mark.parametrize("processes", [1, 2, 4, 99])

@@ -158,12 +158,29 @@ def test_once_this_flight_has_told_an_axis_the_earlier_model_does_not_come_back(
     assert (again["x"].earlier, again["x"].values["delay"], again["y"].earlier) == ("", None, NAME)
 
 
+def test_what_was_contradicted_stays_so_until_it_agrees_clearly() -> None:
+    """About one limit the state would go to and fro with every refit."""
+    told = known()[1].states[-1].axes["x"]
+    value = told.values["input"] or 0.0
+    told = replace(told, ci95={**told.ci95, "input": (0.9 * value, 1.1 * value)})
+
+    def names(times: float, *before: str) -> tuple[str, ...]:
+        return told_after(told, Earlier(scaled(own(), "x", times), NAME), "x", True, before).contradicts
+
+    assert names(1.4) == ("input",)
+    assert names(1.4, "input") == ("input",)
+    between = next(times for times in np.arange(1.4, 1.0, -0.01) if not names(times))
+    assert names(between, "input") == ("input",)
+    assert names(between, "delay") == ()
+    assert names(1.05, "input") == ()
+
+
 def test_once_this_flight_has_contradicted_an_axis_the_earlier_model_does_not_come_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     seen = []
 
-    def contradicted_once(out, _earlier, axis, alone):  # type: ignore[no-untyped-def]
+    def contradicted_once(out, _earlier, axis, alone, _before):  # type: ignore[no-untyped-def]
         seen.append((axis, alone))
         return replace(out, contradicts=("input",)) if len(seen) == 1 else out
 

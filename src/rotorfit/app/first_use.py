@@ -23,7 +23,7 @@ from rotorfit.core.progress import Progress
 if TYPE_CHECKING:
     from rotorfit.core.flight_data import Flight
 
-TEXT = "compiling the estimator, once after an installation"
+TEXT = "compiling {}, once after an installation"
 
 PATIENCE = 120.0
 """Time after which the rest of the compiling is left to the fit itself [s]."""
@@ -41,6 +41,7 @@ def compile_beforehand(wanted: Sequence[str], progress: Progress | None = None) 
     marks = {name: mark for name in wanted if not _compiled(mark := _mark(name))}
     if not marks or "NUMBA_DISABLE_JIT" in os.environ:
         return
+    text = TEXT.format("the estimator" if marks.keys() & {*FITTING} else "what follows a vehicle")
     begun, running = perf_counter(), []
     try:
         for names in spread({name: PARTS[name][0] for name in marks}, parallel.processors()):
@@ -48,7 +49,7 @@ def compile_beforehand(wanted: Sequence[str], progress: Progress | None = None) 
             running.append(subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
         while any(one.poll() is None for one in running) and perf_counter() - begun < PATIENCE:
             if progress:
-                progress(0.0, f"{TEXT}: {perf_counter() - begun:.0f} s")
+                progress(0.0, f"{text}: {perf_counter() - begun:.0f} s")
             sleep(_LOOK)
         if any(one.poll() is None for one in running):  # the next use goes on where this one stopped
             return

@@ -470,7 +470,7 @@ class Track:
 
     @property
     def drifts(self) -> tuple[str, ...]:
-        """The axes of the last regime that certainly changed within it, by less than an alarm needs, in words."""
+        """The axes of the last regime that certainly varied within it, without an alarm, in words."""
         models = [regime.model for regime in self.regimes if regime.model]
         worst = {
             axis: min(told, key=lambda each: each.p_value)
@@ -478,8 +478,9 @@ class Track:
             if (told := [each for each in one.evidence if each.test in DRIFTING and each.p_value < CERTAIN])
         }
         return tuple(
-            f"{axis}: {each.strength} (p = {each.p_value:.1g}): it drifts, changed by less than an alarm needs, or "
-            "its commands bear wrong stamps; the intervals allow for it"
+            f"{axis}: {each.strength} (p = {each.p_value:.1g}), yet no seconds differed enough for an alarm: it "
+            "drifts, changed where wind or other axes hid it, or its commands bear wrong stamps; the intervals allow "
+            "for it"
             for axis, each in worst.items()
         )
 

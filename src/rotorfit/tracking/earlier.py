@@ -13,7 +13,7 @@ of their intervals of the vehicle, which include the spread between flights of o
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -41,6 +41,10 @@ CONTRADICTS = 0.01
 """p-value below which an input, damping or delay of this flight contradicts that of the earlier model: 4.0 standard
 errors. It raises no alarm, but the earlier numbers are not shown beside it. Of 60 simulated flights of the same vehicle
 none fell below it; 6 of the 769 recorded pairs do."""
+
+RELENTS = 0.05
+"""p-value up to which what was contradicted stays so: 2.6 standard errors. At one limit alone the state went to and fro
+with every refit about it."""
 
 ALIKE = ("steady_gain", "total_lag")
 """Quantities that mean the same under every law."""
@@ -156,7 +160,7 @@ def until_known(out: TrackedAxis, earlier: Earlier, axis: str) -> TrackedAxis:
     )
 
 
-def told_after(out: TrackedAxis, earlier: Earlier, axis: str, alone: bool) -> TrackedAxis:
+def told_after(out: TrackedAxis, earlier: Earlier, axis: str, alone: bool, before: Collection[str] = ()) -> TrackedAxis:
     """The axis with the numbers of the earlier model while that tells more; from then on compared with it.
 
     Args:
@@ -165,8 +169,9 @@ def told_after(out: TrackedAxis, earlier: Earlier, axis: str, alone: bool) -> Tr
         axis: Name of the axis.
         alone: Whether the earlier model is not shown any more: the vehicle is another one, or this flight has told as
             much.
+        before: Quantities that this flight contradicted a look ago.
     """
-    against = contradicted(out, earlier, axis)
+    against = contradicted(out, earlier, axis, before)
     shown = out if alone or against else until_known(out, earlier, axis)
     if shown.earlier:
         return shown
@@ -178,13 +183,18 @@ def told_after(out: TrackedAxis, earlier: Earlier, axis: str, alone: bool) -> Tr
     return replace(out, state=f"{out.state} (contradicts {earlier.name}: {said})", against=told, contradicts=names)
 
 
-def contradicted(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...]:
+def contradicted(out: TrackedAxis, earlier: Earlier, axis: str, before: Collection[str] = ()) -> tuple[Unlike, ...]:
     """Those of input, damping and delay that cannot be what the earlier model says, under the same law.
 
-    Not steady gain and total lag: as long as the damping is not known, they may be almost anything for a moment.
+    Those of `before` remain until they agree clearly. Not steady gain and total lag: as long as the damping is not
+    known, they may be almost anything for a moment.
     """
-    both = _both(out, earlier, axis)
-    return tuple(one for one in both if one.p_value < CONTRADICTS and one.name.partition(".")[2] in COEFFICIENTS)
+    both = {one.name.partition(".")[2]: one for one in _both(out, earlier, axis)}
+    return tuple(
+        one
+        for name, one in both.items()
+        if name in COEFFICIENTS and one.p_value < (RELENTS if name in before else CONTRADICTS)
+    )
 
 
 def tells_as_much(out: TrackedAxis, earlier: Earlier, axis: str) -> bool:

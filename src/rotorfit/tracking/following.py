@@ -188,6 +188,7 @@ class Following:
         self._false_comparisons = false_alarms_per_hour * SHARE
         self._compared, self._unlike = 0.0, set[str]()
         self._told_itself: set[str] = set()  # axes of which this flight has told as much as the earlier model
+        self._contradicts: dict[str, tuple[str, ...]] = {}  # the quantities that it contradicted a look ago
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
@@ -254,8 +255,8 @@ class Following:
         """
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
         told = {"compared": self._compared, "unlike": sorted(self._unlike), "watched": dict(self._watched)}
-        told |= {"told_itself": sorted(self._told_itself)}
         told |= {"kept": [(start, model and to_mapping(model)) for start, model in self._kept.items()]}
+        told |= {"told_itself": sorted(self._told_itself), "contradicts": dict(self._contradicts)}
         since = {"since": dict(self._since), "changed": dict(self._changed), "laws": dict(self._laws)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), "begins": self._begins, **told}
 
@@ -270,6 +271,7 @@ class Following:
         self._kept = {
             start: model and from_mapping(model, "the state of the tracker") for start, model in memory.get("kept", ())
         }
+        self._contradicts = dict(memory.get("contradicts", {}))
         self._watched, self._begins = dict(memory.get("watched", {})), memory.get("begins", np.inf)
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
@@ -537,10 +539,13 @@ class Following:
             alone = AXES if self._unlike else (*self._changed, *self._told_itself)
             self._told_itself |= {axis for axis, one in axes.items() if tells_as_much(one, self._earlier, axis)}
             axes = {
-                axis: one if axis in self._changed else told_after(one, self._earlier, axis, axis in alone)
+                axis: one
+                if axis in self._changed
+                else told_after(one, self._earlier, axis, axis in alone, self._contradicts.get(axis, ()))
                 for axis, one in axes.items()
             }
-            self._told_itself |= {axis for axis, one in axes.items() if one.contradicts}
+            self._contradicts = {axis: one.contradicts for axis, one in axes.items() if one.contradicts}
+            self._told_itself |= self._contradicts.keys()
         return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, self._as_refitted())
 
     def _as_refitted(self) -> Model | None:

@@ -42,7 +42,8 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
         hardly = earlier is not None and earlier.hardly_watched
         if axis.hardly_watched and not hardly:
             share = f"{axis.untested or 0.0:.0%} of the last 40 s"
-            yield _line(state.time, name, f"hardly watched: x and y are commanded hard, {share} not tested for changes")
+            why = f"hardly watched: x and y are commanded hard, {share} not tested for changes"
+            yield _line(state.time, name, f"{why}; smaller or rarer steps of x and y would have it watched")
         if earlier and hardly and not axis.hardly_watched and axis.watched == earlier.watched:
             yield _line(state.time, name, "no longer hardly watched")
     given = before is not None and before.air is not None
