@@ -56,6 +56,17 @@ def test_unstable_draws_are_counted_by_their_eigenvalues() -> None:
     assert found.unstable == np.mean([spectral_radius(law, one) >= 1 for one in vehicles])
     assert found.peak == np.inf
     assert found.delay == 0.0
+    assert found.gain == (1.0, 1.0)
+
+
+def test_the_gain_margin_that_95_percent_keep_is_theirs_one_by_one() -> None:
+    vehicles = believed_possible(model_of(error=0.05), "x", 40, 3)
+    law = law_of_bandwidth("predictor", known_dynamics(model_of(), "x"), 1.0, 0.02, 0.015, 0.03)
+
+    each = np.array([margins(law, one).gain for one in vehicles])
+    found = robustness(law, doubt(vehicles, 0.02, 0.015, 3)).gain
+    wanted = [np.quantile(each[:, i], share, method="inverted_cdf") for i, share in ((0, 0.95), (1, 0.05))]
+    np.testing.assert_allclose(found, wanted, rtol=2e-3)
 
 
 def test_draws_have_the_covariance_of_the_model() -> None:

@@ -54,6 +54,7 @@ class Robustness:
 
     Attributes:
         unstable: Share of the vehicles with an unstable loop, by its eigenvalues.
+        gain: Factors on the gain, below and above 1, between which 95 % of them are stable, each end by itself.
         peak: Peak of the sensitivity that 95 % of them do not exceed.
         phase: Phase margin that 95 % of them keep [rad].
         delay: Delay margin that 95 % of them keep, the phase margin over the frequency at |L| = 1 [s].
@@ -62,6 +63,7 @@ class Robustness:
     """
 
     unstable: float
+    gain: tuple[float, float]
     peak: float
     phase: float
     delay: float
@@ -303,8 +305,10 @@ def highest_peak(law: AxisLaw, possible: Doubt) -> float:
 def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
     """Margins of a law around every possible vehicle; an unstable loop has none."""
     peak, phase, delay = _around_each(law, possible)
+    below, above = np.where(np.isinf(peak), 1.0, _gains(-law_response(law, possible.frequency) * possible.response))
     return Robustness(
         float(np.mean(np.isinf(peak))),
+        (_quantile(below, 0.95), _quantile(above, 0.05)),
         _quantile(peak, 0.95),
         _quantile(phase, 0.05),
         _quantile(delay, 0.05),
@@ -331,6 +335,23 @@ def _around_each(law: AxisLaw, possible: Doubt) -> tuple[Array, Array, Array]:
 def _quantile(values: Array, share: float) -> float:
     """A quantile without interpolation: always one of the values, which may be infinite."""
     return float(np.quantile(values, share, method="inverted_cdf"))
+
+
+def _gains(L: np.ndarray) -> Array:
+    """Factors on each row, the largest below and the smallest above 1, with which it meets -1; shape (2, D).
+
+    0 and infinite where there is none. Crossings of the negative axis are interpolated linearly; at the Nyquist
+    frequency, the end of the grid, the loop is real.
+    """
+    re, im = L.real, L.imag
+    crossing = im[:, :-1] * im[:, 1:] < 0
+    share = np.where(crossing, im[:, :-1] / np.where(crossing, im[:, :-1] - im[:, 1:], 1.0), 0.0)
+    at = np.where(crossing, re[:, :-1] + share * np.diff(re, axis=1), 0.0)
+    met = -np.column_stack([at, re[:, -1]])
+    factor = np.where(met > TINY, 1 / np.maximum(met, TINY), np.nan)
+    return np.array([
+        np.where(factor < 1, factor, 0.0).max(axis=1), np.where(factor > 1, factor, np.inf).min(axis=1)
+    ])  # fmt: skip
 
 
 def _phase_and_delay(L: np.ndarray, w: Array) -> tuple[Array, Array]:

@@ -125,6 +125,8 @@ def _axis(one: AxisTuning, command: CommandMeaning) -> dict[str, Any]:
             "draws": believed.draws,
             "seed": believed.seed,
             "unstable_share": believed.unstable,
+            "gain_margin_below": believed.gain[0],
+            "gain_margin": _finite(believed.gain[1]),
             "phase_margin": math.degrees(believed.phase),
             "delay_margin": _finite(believed.delay),
             "peak_sensitivity": _finite(believed.peak),

@@ -18,7 +18,7 @@ from rotorfit.dynamics.trajectory import state_space
 from rotorfit.dynamics.transfer_function import has_transfer_function
 from rotorfit.exports.equations import SPEEDS, Equation, constants, equations, number
 from rotorfit.exports.formats import NUMPY, Format, Language
-from rotorfit.exports.subject import Subject
+from rotorfit.exports.subject import Subject, unknown_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -53,11 +53,17 @@ def check(subject: Subject, to: str, form: Format) -> None:
         )
     unsteady = [axis for axis in AXES if steady_gain(subject, axis) is None]
     if form.steady and unsteady:
-        verbs, them = ("is left out or has", "it") if len(unsteady) == 1 else ("are left out or have", "them")
-        hidden = any(subject.original.axes[axis].predictor and axis not in subject.axes for axis in unsteady)
+        axes = subject.original.axes
+        untold = {axis: listed(unknown_of(axes[axis])) for axis in unsteady if axes[axis].predictor}
+        untold = {axis: names for axis, names in untold.items() if names and axis not in subject.axes}
+        still = [axis for axis in unsteady if axis not in untold]
+        verbs, them = ("is left out or has", "it") if len(still) == 1 else ("are left out or have", "them")
+        why = [f"the model does not know the {names} of {axis}" for axis, names in untold.items()]
+        why += [f"{listed(still)} {verbs} no positive damping"] * bool(still)
+        cure = [f"fit a flight that moves {them}"] * bool(still) + ["try --predictor"] * bool(untold)
         raise ExportError(
-            f"{to} holds a velocity on all four axes, and {listed(unsteady)} {verbs} no positive damping; fit a "
-            f"flight that moves {them}, {'try --predictor, ' if hidden else ''}or export to another format"
+            f"{to} holds a velocity on all four axes, and {' and '.join(why)}; {', '.join(cure)}, or export to another "
+            "format"
         )
 
 

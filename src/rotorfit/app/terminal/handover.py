@@ -17,6 +17,11 @@ from rotorfit.exports import Export
 from rotorfit.exports.formats import Format
 from rotorfit.exports.gains import LAWS
 
+MARGINS = "gain", "phase", "delay", "peak"
+
+SMALLEST = 0.005
+"""Factor on the gain below which, to two digits, none is too small."""
+
 
 def export_formats_view(formats: Mapping[str, Format]) -> View:
     """Every format, with its contents and requirements."""
@@ -75,15 +80,15 @@ def tuning_view(tuning: Tuning, card: Card) -> View:
         style="dim",
     )
     yield ""
-    margins = table("margins", "gain", "phase", "delay", "peak", "phase 95", "delay 95", "peak 95", "noise")
+    margins = table("margins", *MARGINS, *(f"{name} 95" for name in MARGINS), "noise")
     for axis, one in tuning.axes.items():
         margins.add_row(axis, *_margins(one))
     yield margins
     draws = next(iter(tuning.axes.values())).robustness
     yield Text(
         f"Of the model itself, then what 95 % of {draws.draws} vehicles drawn from its covariance keep (seed "
-        f"{draws.seed}; none is unstable): deg, s. peak: of the sensitivity; the delay margin must be "
-        f"{DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, % of full scale.",
+        f"{draws.seed}; none is unstable): gain: a factor, deg, s. peak: of the sensitivity; the delay margin must "
+        f"be {DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, % of full scale.",
         style="dim",
     )
     yield from bullets([tuning.note] if tuning.note else [])
@@ -141,17 +146,23 @@ def _gains(one: AxisTuning) -> list[str]:
 
 def _margins(one: AxisTuning) -> list[str]:
     around, believed = one.margins, one.robustness
-    low, high = around.gain
     return [
-        f"{low:.2f} to {high:.2f}" if math.isfinite(high) else f"{low:.2f} up",
+        _factors(*around.gain),
         f"{math.degrees(around.phase):.0f}",
         _seconds(around.delay),
         f"{around.peak:.2f}",
+        _factors(*believed.gain),
         f"{math.degrees(believed.phase):.0f}",
         _seconds(believed.delay),
         f"{believed.peak:.2f}",
         "-" if one.noise is None else f"{100 * one.noise:.1f}",
     ]
+
+
+def _factors(low: float, high: float) -> str:
+    """Factors on the gain; where any smaller one is stable, the largest alone."""
+    most = f"{high:.2f}" if math.isfinite(high) else "none"
+    return most if low < SMALLEST else f"{low:.2f} to {most}"
 
 
 def _seconds(value: float) -> str:
