@@ -1,5 +1,6 @@
 """Tests of the innovations: right rates on what is right, and sure on what is wrong."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -308,6 +309,35 @@ def test_a_wrong_delay_is_seen_in_the_commands_that_the_innovations_follow() -> 
 
     assert ("residuals_follow_command", "x") in {(finding.code, finding.axis) for finding in found.findings}
     assert "residuals_follow_command" not in {finding.code for finding in validate(model, [flight], (1.0,)).findings}
+
+
+def test_a_flight_with_another_gain_is_told_with_it_and_its_law_is_not_doubted() -> None:
+    model, flight = pair(1000)
+    point = model.axes["x"].predictor
+    assert point is not None
+    wrong = replace(model.axes["x"], predictor=replace(point, input=point.input / 1.2))
+    found = validate(replace(model, axes={**model.axes, "x": wrong}), [flight], (1.0,))
+    tests, own = found.residuals[0]["x"], found.residuals[0]["x"].own_step
+    (told,) = [each for each in found.findings if (each.code, each.axis) == ("residuals_follow_command", "x")]
+
+    assert tests.own_p is not None
+    assert tests.own_p > 0.05
+    assert own["input"] == pytest.approx(0.2, abs=0.03)
+    assert re.search(r"by other coefficients than the model's \(input 1\.[12]\d times, damping ", told.effect)
+
+
+def test_an_answer_that_no_coefficients_give_is_left_out_by_the_model() -> None:
+    rng = np.random.default_rng(4)
+    past = past_commands(rng)
+    sensitivity = np.stack([past[:, 12], TIME, np.ones(N)], axis=1)
+    e = rng.standard_normal(N) + 1.5 * (past[:, 5] - past[:, 6]) + 0.5 * past[:, 12]
+
+    found = residual_tests(Innovations(TIME, e, past, sensitivity), e, NONE, 0.0)
+    assert found is not None
+    assert found.own_p is not None
+    assert found.own_p < 1e-4
+    (told,) = [each for each in findings_of_residuals("x", found, "f") if each.code == "residuals_follow_command"]
+    assert told.effect.startswith("the model leaves out part of the response of x")
 
 
 def test_what_the_stamps_of_a_flight_leave_unknown_is_not_held_against_the_model() -> None:

@@ -85,8 +85,15 @@ def _tests_of_record(model: Model, flight: Flight, rec: Record) -> dict[str, Res
         share = flight.duration / training if training > 0 and not fitted else 0.0
         innovation = at_fitted.score.innovations[0][:, rec.axes.index(axis)]
         tests = residual_tests(each.innovations, innovation, covariance, share)
-        found |= {axis: tests} if tests else {}
+        if tests:
+            found[axis] = _relative(tests, predictor_of(model, axis).input)
     return found
+
+
+def _relative(tests: ResidualTests, gain: float) -> ResidualTests:
+    """The tests with the step of the input as a share of the model's."""
+    step = tests.own_step
+    return replace(tests, own_step={**step, "input": step["input"] / gain}) if step else tests
 
 
 def parameter_covariance(model: Model, axis: str, flights: Sequence[Flight] = ()) -> Array:

@@ -10,7 +10,8 @@ Source: L. Ljung, System Identification, 2nd ed., 1999, chapter 16; T. Soderstro
 1989, chapter 11; G. M. Ljung, G. E. P. Box, Biometrika 65 (1978), pp. 297-303.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -128,6 +129,7 @@ def residual_tests(
     count, ratio = frequencies(n), float(np.mean(at_fitted_levels**2))
     spread = float(variance_of_mean(at_fitted_levels[:, None] ** 2, count)[0, 0]) * (1 + training_share)
     half = student_quantile(count) * spread**0.5
+    own_p, own_step = _with_own(innovations) if command_p is not None and command_p < LEVEL else (None, {})
     return ResidualTests(
         n=n,
         lags=lags,
@@ -143,7 +145,21 @@ def residual_tests(
         optimism=_optimism(innovations, found.value),
         white=white_p >= LEVEL,
         follows_command=None if command_p is None else command_p < LEVEL,
+        own_p=own_p,
+        own_step=own_step,
     )
+
+
+def _with_own(innovations: Innovations) -> tuple[float | None, dict[str, float]]:
+    """p-value of independence from past commands with parameters of the flight's own, and the step to them.
+
+    What other parameters can do is removed from the innovations and from the commands.
+    """
+    e, past, S = innovations.innovation, innovations.past, innovations.sensitivity
+    step = np.linalg.lstsq(S, e)[0]
+    own = replace(innovations, innovation=e - S @ step, past=past - S @ np.linalg.lstsq(S, past)[0])
+    p, _ = _independence(own, np.zeros((step.size, step.size)))
+    return p, dict(zip(COEFFICIENTS, step.tolist(), strict=False))
 
 
 def _independence(innovations: Innovations, covariance: Array) -> tuple[float | None, int]:
@@ -220,6 +236,17 @@ def narrows_intervals(tests: ResidualTests) -> bool:
     return tests.white_p < FINDING_LEVEL and max(tests.optimism.values(), default=1.0) >= OPTIMISTIC
 
 
+def has_own_coefficients(tests: ResidualTests) -> bool:
+    """Whether coefficients of the flight's own explain why its innovations follow past commands."""
+    return tests.own_p is not None and tests.own_p >= LEVEL
+
+
+def _steps(step: Mapping[str, float]) -> Iterator[str]:
+    for name, value in step.items():
+        times = np.exp(value) if name == "damping" else 1 + value
+        yield f"{name} {value:+.3f} s" if name == "delay" else f"{name} {times:.2f} times"
+
+
 def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterator[Finding]:
     """Findings from the tests of one axis on one flight.
 
@@ -257,7 +284,20 @@ def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterat
                 if tests.command_peak and tests.command_peak > 1
                 else "all of the last second together, those of no single moment"
             ),
-            f"the model leaves out part of the response of {axis}: its coefficients may be off beyond their intervals",
-            "look where predictions fail in the report; fit the flight by itself, or a richer structure",
+            *(
+                (
+                    f"on this flight {axis} answers by other coefficients than the model's "
+                    f"({', '.join(_steps(tests.own_step))}); with them nothing is left that follows the command, so "
+                    "the law is not in doubt",
+                    "compare the settings, payload, battery and wind of this flight with those of the fit; fit them "
+                    "together: several flights tell how much flights differ",
+                )
+                if has_own_coefficients(tests)
+                else (
+                    f"the model leaves out part of the response of {axis}: its coefficients may be off beyond their "
+                    "intervals",
+                    "look where predictions fail in the report; fit the flight by itself, or a richer structure",
+                )
+            ),
             axis,
         )

@@ -1,7 +1,7 @@
 """Innovations of a model on a flight, their correlations, and their tests."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from rotorfit.core.display import short_repr
 from rotorfit.core.frames import Array
@@ -65,6 +65,9 @@ class ResidualTests:
         optimism: Coefficient name to the factor by which its interval would be too narrow for such innovations.
         white: Whether whiteness is not rejected at 95 %.
         follows_command: Whether the innovations depend on past commands, at 95 %; None where that was not tested.
+        own_p: `command_p` where the axis has the parameters of this flight, by one linear step; None where it was not
+            asked, for the innovations are independent.
+        own_step: Coefficient name to the step: input as a share of the model's, logarithm of the damping, delay [s].
     """
 
     n: int
@@ -81,3 +84,5 @@ class ResidualTests:
     optimism: Mapping[str, float]
     white: bool
     follows_command: bool | None
+    own_p: float | None = None
+    own_step: Mapping[str, float] = field(default_factory=dict)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.paired import QUANTITIES
 from rotorfit.assessment.rows import LENGTH, SPEED, HorizonErrors
-from rotorfit.assessment.whiteness import FINDING_LEVEL, LEVEL, narrows_intervals
+from rotorfit.assessment.whiteness import FINDING_LEVEL, LEVEL, has_own_coefficients, narrows_intervals
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import FROZEN, Axis, Model
@@ -430,7 +430,12 @@ def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
         text = f"{what} ({chance(p)}): weak evidence, of tests of a right model one in 20 falls below 0.05"
         advice = "use it; this may be chance, and another flight that is not fitted will tell"
         return Lamp("residuals", "yellow", "in doubt", sentences([text])[0], advice)
-    means = "the model leaves out part of the answer, other motion may be predicted worse"
+    follow = [each for each in tests if each.follows_command]
+    means = (
+        "the vehicle answered by other coefficients than the model's, which leave nothing: its law is not in doubt"
+        if all(map(has_own_coefficients, follow))
+        else "the model leaves out part of the answer, other motion may be predicted worse"
+    )
     answers = what != "not white"
     text = f"{what} ({chance(p)}): {means if answers else 'something regular is left that the commands do not explain'}"
     advice = _with_residuals(tests, answers, richer)
@@ -442,6 +447,8 @@ def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
 
 def _with_residuals(tests: Sequence[ResidualTests], follows: bool, richer: bool) -> str:
     """What to do with a model whose residuals are not clean."""
+    if follows and all(has_own_coefficients(each) for each in tests if each.follows_command):
+        return "use it, and fit it together with this flight: several tell how much flights differ"
     if follows:
         more = "; for other motion let a richer law try, see below" if richer else ""
         return f"use it for motion like that of these flights only{more}"
