@@ -41,6 +41,19 @@ def test_what_takes_its_time_is_said_once(clock: list[float], capsys: pytest.Cap
     assert capsys.readouterr() == ("", compiling.LINE + "\n")
 
 
+def test_what_other_processes_compile_is_said_at_once_and_not_again(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert first_use.TEXT.startswith(compiling.COMPILING)
+    with compiling_announced() as announce:
+        announce()
+        assert capsys.readouterr().err == compiling.LINE + "\n"
+        compiled(clock, 5.0)
+        announce()
+
+    assert capsys.readouterr().err == ""
+
+
 def test_one_long_compilation_is_said_while_it_lasts(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
     with compiling_announced(), event.trigger_event("numba:compile"):
         clock[0] += 1.5

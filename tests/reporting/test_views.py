@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from models import model_of
 from rotorfit.assessment.evidence import motion_of_flight
 from rotorfit.assessment.validation import dynamics_from_model
 from rotorfit.core.flight_data import Flight
@@ -17,6 +18,8 @@ from rotorfit.estimation.fitting import fit
 from rotorfit.files.cards import load_card
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.planning.signals import two_sines
+from rotorfit.reporting.charts import profile_charts
+from rotorfit.reporting.figures import profile_range
 from rotorfit.reporting.views import MOST_POINTS, Chart, extremes, flight_view
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, as_log, simulate_flight
 
@@ -212,3 +215,18 @@ def test_lines_break_where_the_poses_have_a_hole(flight: Flight) -> None:
     (hole,) = np.flatnonzero(np.diff(chart.x) > 1)
     assert np.isnan(line_of(chart, "measured")[hole])
     assert np.isnan(line_of(chart, "model")[hole])
+
+
+def test_a_profile_is_drawn_where_it_and_its_interval_are() -> None:
+    model = model_of(error=0.01)
+    x = replace(model.axes["x"], profile=((-0.1, -9e3), (0.098, -1.9), (0.1, 0.0), (0.103, -1.9), (0.6, -9e3)))
+
+    def drawn(low: float | None, high: float) -> tuple[float, float]:
+        one = replace(x, ci95={**x.ci95, "delay": (low, high)})
+        return profile_range(profile_charts(replace(model, axes={**model.axes, "x": one}))[0])
+
+    low, high = drawn(0.09, 0.11)
+
+    assert 0.08 < low < 0.09
+    assert 0.11 < high < 0.12
+    assert drawn(None, 0.11)[0] < -0.1

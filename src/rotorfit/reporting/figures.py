@@ -138,16 +138,27 @@ def _in_a_row(charts: Sequence[Chart]) -> Figure:
             panel.set_title(chart.axis, loc="left", fontweight="bold")
             panel.set_xlabel(chart.x_label)
             panel.set_ylabel(chart.y_label)
-    if kinds[0].startswith("horizon"):
+    if kinds[0].startswith("horizon") or kinds[0] == "profile":
         figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     return figure
+
+
+def profile_range(chart: Chart) -> tuple[float, float]:
+    """Range of x in which a profile, its interval and its marks lie within the range of y, a fifth wider each way."""
+    grid = np.linspace(chart.x[0], chart.x[-1], 4000)
+    low, high = chart.y_range or (-np.inf, np.inf)
+    seen = grid[np.interp(grid, chart.x, chart.lines[0].y) >= low]
+    marks = [mark.x for mark in chart.marks if low <= mark.y <= high]
+    ends = np.array([*seen[[0, -1]], *marks, *np.clip(chart.span or marks, chart.x[0], chart.x[-1])])
+    margin = 0.2 * float(np.ptp(ends))
+    return float(ends.min()) - margin, float(ends.max()) + margin
 
 
 def _lines(panel: Axes, chart: Chart) -> None:
     """Lines, levels, marks and the marked range of one chart."""
     if chart.span is not None:
         low, high = np.clip(chart.span, chart.x[0], chart.x[-1])
-        panel.axvspan(float(low), float(high), color="#0b57b7", alpha=0.12, linewidth=0)
+        panel.axvspan(float(low), float(high), color="#0b57b7", alpha=0.12, linewidth=0, label="95 %, the vehicle")
     for value, _ in chart.levels:
         panel.axhline(value, color="black", linewidth=0.6, linestyle=(0, (4, 3)))
     for line in chart.lines:
@@ -163,6 +174,8 @@ def _lines(panel: Axes, chart: Chart) -> None:
         panel.plot([mark.x], [mark.y], "o", color=colour, markersize=3)
     if chart.y_range is not None:
         panel.set_ylim(*chart.y_range)
+    if chart.kind == "profile":
+        panel.set_xlim(*profile_range(chart))
     if chart.kind.startswith("horizon"):
         panel.set_xlim(left=0)
     if chart.y_log:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import click
 
-from rotorfit.app.cli.compiling import compiling_announced
+from rotorfit.app.cli.compiling import COMPILING, compiling_announced
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.progress import Progress
 
@@ -214,9 +214,15 @@ def progress_bar() -> Iterator[Progress | None]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar, compiling_announced():
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar, compiling_announced() as announce:
         task = bar.add_task("reading", total=1.0)
-        yield lambda fraction, text: bar.update(task, completed=fraction, description=text)
+
+        def update(fraction: float, text: str) -> None:
+            if text.startswith(COMPILING):
+                announce()
+            bar.update(task, completed=fraction, description=text)
+
+        yield update
 
 
 def compiled_beforehand() -> None:
