@@ -1,11 +1,13 @@
 """What the terminal shows: numbers with the digits that they earn, open ends, and what has no numbers."""
 
+import io
 import math
 import re
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+from rich.console import Console
 from test_summary import axis, model
 
 from rotorfit.app.terminal import show
@@ -63,6 +65,26 @@ def test_several_flights_tell_every_coefficient_on_the_next_one(capsys: pytest.C
     one = {name: replace(each, source="prior") for name, each in spread.items()}
     show(model_view(model({"x": replace(known, spread=one)}), ("x",)))
     assert "next flight" not in capsys.readouterr().out
+
+
+def test_in_80_columns_no_word_of_the_coefficients_is_broken() -> None:
+    ends, told = (0.1855, 0.1953), Combination(0.1902, (0.1855, 0.1953), (0.1870, 0.1938))
+    known = replace(axis({"delay_plus_lag": told}, damping="not_identifiable"), damping=None)
+    known = replace(known, ci95=dict.fromkeys(known.ci95, ends), ci95_flight=dict.fromkeys(known.ci95, ends))
+    shown = replace(model({"yaw": known}, flights=2), paper=(None,) * 6 + (4.0, 2.0))
+
+    def lines(width: int) -> list[str]:
+        console = Console(width=width, file=io.StringIO(), no_color=True)
+        with console.capture() as capture:
+            console.print(*model_view(shown, ("yaw",)), sep="\n")
+        return capture.get().splitlines()
+
+    narrow = "\n".join(lines(80)).partition("input is per")[0]
+    assert {"coefficient", "damping", "not", "identifiable", "rad/s^2", "0.1870", "to", "flights"} <= {*narrow.split()}
+    assert "paper" not in narrow
+    assert any(re.search(r"yaw +input .* ok *$", line) for line in narrow.splitlines())
+    wide = "\n".join(lines(120))
+    assert {"paper", "not_identifiable"} <= {*wide.split()}
 
 
 def test_the_papers_coefficients_stand_beside_even_where_the_likelihood_has_none(

@@ -3,9 +3,11 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from rich.console import RenderableType
+from rich.table import Table
 from rich.text import Text
 
 from rotorfit.app.terminal.tables import (
+    FirstThatFits,
     View,
     bullets,
     finding_view,
@@ -40,7 +42,7 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
             yield ""
     yield Text(summary_of_model(model, wanted))
     yield ""
-    yield _coefficient_table(model, wanted)
+    yield FirstThatFits([_coefficient_table(model, wanted, narrow) for narrow in (False, True)])
     known = {axis: model.axes[axis] for axis in wanted if model.axes[axis].predictor}
     combined = any(axis.combinations for axis in known.values())
     legend = f"; steady gain = input / damping; total lag = delay + 1 / damping{_lags(known)}" if combined else ""
@@ -83,12 +85,17 @@ def _lags(known: Mapping[str, Axis]) -> str:
     return lag + zero
 
 
-def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
+def _coefficient_table(model: Model, axes: Sequence[str], narrow: bool) -> Table:
+    """The table of coefficients; a narrow one breaks lines between words, and is without the paper's values."""
     flights = "this flight" if len(model.flights) == 1 else "these flights"
     two = any(model.axes[axis].ci95_flight for axis in axes)
     heads = ("95 % the vehicle", f"95 % {flights}") if two else ("95 % interval",)
-    left = (0, 1, 3 + len(heads), 5 + len(heads))
-    out = table("axis", "coefficient", "estimate", *heads, "unit", "paper", "status", left=left, gap=1)
+    if narrow:
+        heads = tuple(head.replace("95 % ", "95 %\n") for head in heads)
+    paper = () if narrow else ("paper",)
+    left = (0, 1, 3 + len(heads), 4 + len(heads) + len(paper))
+    out = table("axis", "coefficient", "estimate", *heads, "unit", *paper, "status", left=left, gap=1)
+    out.columns[-1].no_wrap = True
     for row in coefficient_rows(model):
         first, ends = row.name == COEFFICIENTS[0], (row.low, row.high)
         if row.axis not in axes or not (model.axes[row.axis].predictor or first or row.paper is not None):
@@ -101,8 +108,8 @@ def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
             "-" if row.value is None else f"{row.value:g}" if row.given else number_text(row.value, ends),
             *(("by the law", "")[: len(both)] if row.given else both),
             row.unit,
-            "" if row.paper is None else f"{row.paper:.3g}",
-            "" if combined else row.status,
+            *([] if narrow else ["" if row.paper is None else f"{row.paper:.3g}"]),
+            "" if combined else row.status.replace("_", "\n") if narrow else row.status,
         )
     return out
 

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
-from rich.console import RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.measure import Measurement
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
@@ -12,6 +14,9 @@ from rich.text import Text
 from rotorfit.core.finding import Finding
 
 View = Iterator[RenderableType]
+
+_FREE = 10_000
+"""Width at which no table is broken."""
 
 COLOURS = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 """Severity to its colour."""
@@ -24,6 +29,19 @@ def table(*heads: str, left: Sequence[int] = (0,), gap: int = 2) -> Table:
         text = place in left
         out.add_column(head, justify="left" if text else "right", no_wrap=not text, overflow="fold")
     return out
+
+
+@dataclass(frozen=True)
+class FirstThatFits:
+    """The first of some tables that no terminal's width breaks, else the last."""
+
+    tables: Sequence[Table]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yields it."""
+        free = options.update_width(_FREE)
+        fitting = (one for one in self.tables if Measurement.get(console, free, one).maximum <= options.max_width)
+        yield next(fitting, self.tables[-1])
 
 
 def title(text: str) -> Text:
