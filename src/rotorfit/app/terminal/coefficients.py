@@ -89,9 +89,8 @@ def _coefficient_table(model: Model, axes: Sequence[str], narrow: bool) -> Table
     """The table of coefficients; a narrow one breaks lines between words, and is without the paper's values."""
     flights = "this flight" if len(model.flights) == 1 else "these flights"
     two = any(model.axes[axis].ci95_flight for axis in axes)
-    heads = ("95 % the vehicle", f"95 % {flights}") if two else ("95 % interval",)
-    if narrow:
-        heads = tuple(head.replace("95 % ", "95 %\n") for head in heads)
+    between = "\n" if narrow else " "
+    heads = (f"95 %{between}the vehicle", f"95 %{between}{flights}") if two else ("95 % interval",)
     paper = () if narrow else ("paper",)
     left = (0, 1, 3 + len(heads), 4 + len(heads) + len(paper))
     out = table("axis", "coefficient", "estimate", *heads, "unit", *paper, "status", left=left, gap=1)
