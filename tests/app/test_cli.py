@@ -518,7 +518,8 @@ def test_info_of_an_incomplete_draft_says_what_to_fill_in_before_a_fit(tmp_path:
 
     drafted = done("info", log, "--draft-card", card)
 
-    assert f"fill in [pose] z in the lines marked EDIT, check every line, then rotorfit fit {log}" in drafted
+    assert "fill in [pose] z, [command] y, z, yaw (if the log has them) in the lines marked EDIT, check" in drafted
+    assert f"then rotorfit fit {log}" in drafted
 
 
 def test_a_drafted_card_fits_the_log(folder: Path, tmp_path: Path) -> None:

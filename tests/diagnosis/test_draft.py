@@ -311,7 +311,7 @@ def test_a_written_draft_says_what_it_lacks(tmp_path: Path) -> None:
 def test_a_draft_says_of_which_axes_it_has_no_command(tmp_path: Path) -> None:
     log = csv_log(cmd_x="cmd_x", cmd_y="ride", cmd_z="dive", cmd_yaw="")
 
-    assert write_draft(log, tmp_path / "x.toml") == ("[command] y, z, yaw if the log has them",)
+    assert write_draft(log, tmp_path / "x.toml") == ("[command] y, z, yaw (if the log has them)",)
     text = (tmp_path / "x.toml").read_text()
     assert "# No command was recognised for y, z, yaw. Name what the log has, or they get no model." in text
     assert "INCOMPLETE" not in text

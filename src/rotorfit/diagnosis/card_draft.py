@@ -657,4 +657,4 @@ def write_draft(log: Log, path: Path, fresh: bool = False) -> tuple[str, ...]:
     write_whole(path, text, keep=False)
     missing = text.partition(_INCOMPLETE)[2].partition(".")[0]
     without = text.partition(_UNCOMMANDED)[2].partition(".")[0]
-    return (*filter(None, missing.split("; ")), *([f"[command] {without} if the log has them"] * bool(without)))
+    return (*filter(None, missing.split("; ")), *([f"[command] {without} (if the log has them)"] * bool(without)))
