@@ -14,6 +14,8 @@ from rotorfit.app.live.outlets import Remembering
 from rotorfit.app.live.regained import Regaining
 from rotorfit.control.tuning import tune
 from rotorfit.core.errors import LogError, ModelError
+from rotorfit.core.finding import Finding
+from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
 from rotorfit.core.tracked import UNMOVED, Alarm, Tracked, TrackedAxis
 from rotorfit.exports.gains import law_of, read_gains, save_gains
@@ -109,6 +111,28 @@ def test_an_alarm_of_the_pose_and_a_landing_change_no_gains() -> None:
     jump = Alarm(3.0, ("x",), "pose_jumped", (2.0, 2.5), {}, 0.9, 1e-9, "because")
     assert len(told(None, [*states(only(), only()), *states(only(), only(), alarms=(jump,))])[0]) == 1
     assert told(None, [*states(only()), *states(only(), landed=True)])[0] == []
+
+
+def test_after_a_jump_of_the_heading_x_must_settle_anew() -> None:
+    jump = Alarm(6.5, AXES, "pose_jumped", (6.3, 6.4), {}, 1.0, 0.0, "because", turned=True)
+    g, b, tau = VEHICLE["x"]
+    other = [next_fit({"x": (g, b, tau + 0.1)}) for _ in range(3)]
+    _, second = told(None, [*states(only(), only()), *states(other[0], alarms=(jump,)), *states(*other[1:])])[0]
+
+    assert second["why"]["x"].startswith("the vehicle has changed")
+
+
+@pytest.mark.parametrize("code", ["yaw_offset", "mirrored_pose", None])
+def test_no_gains_of_x_and_y_come_from_a_wrong_frame(code: str | None) -> None:
+    findings = (Finding(code, "warning", "seen", "which does", "do this"),) if code else None
+    models = [next_fit({axis: VEHICLE[axis] for axis in ("x", "z")}) for _ in range(2)]
+    messages, regaining = told(None, states(*models, axes=("x", "z"), findings=findings))
+
+    assert [list(message["axes"]) for message in messages] == ([] if code == "mirrored_pose" else [["z"]])
+    why = (
+        f"its numbers are not the vehicle's ({code})" if code else "it is not known yet whether its commands act along"
+    )
+    assert why in regaining._missing("x")
 
 
 def test_after_an_alarm_the_vehicle_must_settle_anew() -> None:

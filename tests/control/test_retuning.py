@@ -344,3 +344,11 @@ def test_a_revision_takes_nothing_back_of_what_another_vehicle_means() -> None:
     retuning.changed(("z",), "payload", revised=True)
 
     assert retuning._anew >= flown().keys()
+
+
+def test_what_settles_while_it_is_withheld_is_tuned_for_afterwards() -> None:
+    fits, retuning = [next_fit({"x": VEHICLE["x"]}) for _ in range(2)], Retuning()
+
+    assert [retuning.look(fit, ("x",), withheld=("x",)) for fit in fits] == [None, None]
+    assert retuning.look(fits[-1], ("x",)) is not None
+    assert retuning.look(fits[-1], ("x",)) is None

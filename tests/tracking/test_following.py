@@ -3,13 +3,14 @@
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from flights import flown, steps, truth_of
 from other_laws import flown_by
-from rotorfit.core.flight_data import Segment
+from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, Evidence, Interval, Predictor, Weighed, weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
@@ -472,3 +473,57 @@ def test_what_varies_with_time_is_no_doubt_about_the_law_but_maybe_the_change() 
     found = [Evidence(test, "", 1e-6, {"input": sd}) for test, sd in (("time", 0.4), ("quarter", 0.2), ("size", 0.1))]
 
     assert doubt_of(replace(axis, evidence=tuple(found))) == {"input": pytest.approx(0.1)}
+
+
+def turned_at(when: float, end: float) -> Flight:
+    """x and z of the known flight up to an end, its heading 30 degrees off from an instant on [s]."""
+    flight = until(known_flight(), end)
+    late = flight.pose_time > when
+    segments = tuple(Segment(*ends) for ends in ((0.0, when - 1e-9), (when, end)) if ends[1] > ends[0])
+    return replace(flight, yaw=flight.yaw + np.radians(30.0) * late, axes=("x", "z"), segments=segments)
+
+
+JUMP = Alarm(6.06, AXES, "pose_jumped", (5.98, 6.0), {}, 1.0, 0.0, "because", turned=True)
+
+
+def test_where_the_heading_jumps_x_is_learnt_anew_and_the_wrong_frame_is_told() -> None:
+    following, flight = Following(LAW), turned_at(6.0, 18.5)
+    following.look(until(flight, 5.9), 5.9)
+    at = following.follow(until(flight, 6.1), 6.1, alarms=(JUMP,))
+    last = following.follow(until(flight, 18.0), 18.0)
+    landed, (before, after) = following.finish(flight, 18.5)
+    assert at
+    assert last
+    assert before.model
+    assert after.model
+
+    assert (at.time, at.alarms, at.regime, at.findings) == (6.1, (JUMP,), 1, None)
+    assert [one.state.partition(",")[0] for one in at.axes.values()] == ["changed at 6.0 s", at.axes["z"].state]
+    served = {axis: source.span for source in after.model.flights for axis in source.axes}
+    assert served["x"] == pytest.approx((6.0, 18.5), abs=0.1)
+    assert served["z"] == pytest.approx((0.0, 18.5), abs=0.1)
+    for told in (last.findings or (), after.model.findings, landed.findings or ()):
+        assert "yaw_offset" in {one.code for one in told}
+    assert "yaw_offset" not in {one.code for one in before.model.findings}
+
+
+def test_a_heading_that_is_off_from_the_start_is_told_as_of_a_log_and_kept_in_the_model() -> None:
+    flight, following = turned_at(0.0, 14.0), Following(LAW)
+    early, late = (following.look(until(flight, now), now) for now in (9.0, 13.0))
+    landed, (regime,) = following.finish(flight, 14.0)
+    assert regime.model
+
+    assert early.findings is None
+    assert late.faults["yaw_offset None"].startswith("warning yaw_offset: a command of x acts -")
+    assert late.to_mapping()["findings"][0]["code"] == "yaw_offset"
+    assert landed.faults.keys() >= late.faults.keys()
+    assert f"{flight.path}: a command of x acts" in " ".join(one.evidence for one in regime.model.findings)
+
+
+def test_a_revision_that_was_due_does_not_undo_what_a_jump_of_the_heading_began() -> None:
+    following, part = Following(LAW), until(known_flight(), 4.0)
+    following._raised = following._told = cast(Any, "an alarm of 3.0 s")
+    following.follow(part, 3.5, alarms=(replace(JUMP, since=(3.36, 3.38)),))
+
+    assert following._since == {"x": 3.38, "y": 3.38, "z": 0.0, "yaw": 0.0}
+    assert (following._raised, following._told) == (None, None)

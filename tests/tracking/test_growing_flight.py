@@ -97,7 +97,7 @@ def test_a_pose_that_repeats_itself_on_the_ground_is_no_alarm() -> None:
 def test_a_pose_that_jumps_is_an_alarm_at_once_and_cuts_the_flight() -> None:
     flight, alarms = grown(jumped(begun(24.0), 20.0, (1.0, 0.0, 0.0)))
 
-    assert [alarm.cause for alarm in alarms] == ["pose_jumped"]
+    assert [(alarm.cause, alarm.turned) for alarm in alarms] == [("pose_jumped", False)]
     assert 20.0 <= alarms[0].time < 20.1
     assert "1.0" in alarms[0].why
     assert any(abs(a.end - b.start) < 1e-6 and 19.99 < b.start < 20.1
@@ -108,8 +108,9 @@ def test_a_pose_that_jumps_is_an_alarm_at_once_and_cuts_the_flight() -> None:
 def test_a_heading_that_is_reset_is_an_alarm_and_no_motion(degrees: float) -> None:
     _, alarms = grown(reset(begun(24.0), 20.0, np.radians(degrees)))
 
-    assert [alarm.cause for alarm in alarms] == ["pose_jumped"]
+    assert [(alarm.cause, alarm.turned) for alarm in alarms] == [("pose_jumped", True)]
     assert 20.0 <= alarms[0].time < 20.1
+    assert "x and y are learnt anew" in alarms[0].why
 
 
 def test_a_single_wild_pose_is_left_out() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from streams import jumped
 from tracking_samples import samples_of
 
 from flights import CARD
@@ -216,3 +217,14 @@ def test_a_regime_without_a_kept_model_says_that_its_seconds_are_forgotten() -> 
     assert last.forgotten == "seconds before 20.0 were no longer remembered at the end: model from 20.0 to 30.0 s"
     (whole,), _ = regimes_of(flight, [(0.0, None)], [AXES], LAW, 30.0)
     assert whole.forgotten == ""
+
+
+def test_the_state_that_follows_an_alarm_of_the_pose_is_of_that_moment() -> None:
+    tracker, told = Tracker(CARD, LAW, origin=0), []
+    for one in jumped(samples_of(known_flight(), 6.0), 5.6, (1.0, 0.0, 0.0)):
+        tracker.update(one)
+        told += tracker.news()
+    (at,) = (state for state in told if state.alarms)
+
+    assert at.time == pytest.approx(at.alarms[0].time, abs=0.03)
+    assert [state.time for state in told] == sorted({state.time for state in told})

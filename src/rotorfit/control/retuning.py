@@ -166,6 +166,7 @@ class Retuning:
         }
         self._carried: dict[str, tuple[str, ...]] = dict.fromkeys(AXES, COEFFICIENTS)
         self._anew: set[str] = set()
+        self._withheld: dict[str, _Belief] = {}
         self.kept: dict[str, str] = {}
         self._unchanged = self._copies()
 
@@ -186,6 +187,7 @@ class Retuning:
         self._unchanged = self._copies()
         for axis in axes:
             self.kept.pop(axis, None)
+            self._withheld.pop(axis, None)
             last, known = self._fits.pop(axis, None), self._carried[axis]
             if last:
                 _, fit, belief = last
@@ -200,6 +202,7 @@ class Retuning:
         self._another = True
         self._anew |= self._flown.keys()
         self.kept.clear()
+        self._withheld.clear()
         fits, before, carried, anew, _ = self._unchanged  # a revision takes nothing of it back
         self._unchanged = fits, before, carried, anew | self._flown.keys(), {}
 
@@ -208,7 +211,12 @@ class Retuning:
         self._anew.difference_update(axes)
 
     def look(
-        self, model: Model, known: Collection[str], excited: Collection[str] = (), doubted: bool = False
+        self,
+        model: Model,
+        known: Collection[str],
+        excited: Collection[str] = (),
+        doubted: bool = False,
+        withheld: Collection[str] = (),
     ) -> Retuned | None:
         """New gains, if the model calls for them; else None.
 
@@ -217,13 +225,16 @@ class Retuning:
             known: Axes whose coefficients it tells.
             excited: Axes of which it tells only some: enough if the others are carried over.
             doubted: Whether this flight contradicts the earlier one on any axis: then nothing of that is carried over.
+            withheld: Axes that are not tuned for now, but later by estimates that have settled meanwhile.
         """
         new: dict[str, AxisTuning] = {}
         why: dict[str, str] = {}
         rate = self._rate or rate_of(model)
         for axis in (axis for axis in AXES if axis in known or axis in excited):
-            belief = self._settled(model, axis, axis in known, doubted)
-            if belief is None:
+            belief = self._settled(model, axis, axis in known, doubted) or self._withheld.pop(axis, None)
+            if belief and axis in withheld:
+                self._withheld[axis] = belief
+            if belief is None or axis in withheld:
                 continue
             self.kept[axis] = NO_GAINS
             if fresh := self._tuned(belief.model, axis, rate):

@@ -19,6 +19,9 @@ WRONG_PLANE = ("axes_exchanged", "command_frame", "yaw_offset")
 WRONG_FRAME = (*WRONG_PLANE, "mirrored_pose", "quaternion_order")
 """Findings that a frame is wrong: what x and y seem to do follows from that."""
 
+MISREAD = (*WRONG_FRAME, "axes_turned", "sign_flipped", "unit_mistake", "pose_frozen")
+"""Findings that what was recorded means something else than the card says, or nothing: they are told in flight."""
+
 OTHER_STAMPS = ("commands_by_row", "repeated_commands", "commands_interpolated")
 """Findings of commands that do not bear their own stamps: what delays owe to them no flight of this logger tells."""
 
@@ -47,6 +50,11 @@ class Finding:
         where = f" ({self.axis})" if self.axis else ""
         said = f"{self.evidence}; {self.effect}; {self.remedy}"
         return f"<b>{self.severity}</b> <code>{escape(self.code)}</code>{where}: {escape(said)}"
+
+
+def told_of(finding: Finding) -> str:
+    """A finding in one line: how severe it is, what was seen, and what to do."""
+    return f"{finding.severity} {finding.code}: {finding.evidence}; {finding.remedy}"
 
 
 def told_together(findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -22,6 +22,7 @@ from rotorfit.core.display import (
     line_panels,
     number,
 )
+from rotorfit.core.finding import Finding, told_of
 from rotorfit.core.frames import POSE_UNITS, Array
 
 if TYPE_CHECKING:
@@ -234,6 +235,7 @@ class Alarm:
         p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
         why: Why this cause and not the others, one sentence.
         revises: Time of the alarm that it takes the place of [s]; None for a new alarm.
+        turned: Whether the pose jumped in heading, so that commands of x and y may act in other directions than before.
     """
 
     time: float
@@ -245,6 +247,7 @@ class Alarm:
     p_value: float
     why: str
     revises: float | None = None
+    turned: bool = False
 
     @property
     def raised(self) -> float:
@@ -349,6 +352,8 @@ class Tracked:
         air: The mean wind; None where it is unknown, or where damping is not drag.
         model: Model of the last refit of each axis, for `validate`, `tune` and `export`; None before the first.
         landed: Whether it is the last state, after a final fit of all data.
+        findings: Faults of the data since the heading last jumped: those of `MISREAD`, and all at the last state; None
+            before they can be told.
     """
 
     time: float
@@ -359,6 +364,7 @@ class Tracked:
     air: Air | None = None
     model: Model | None = field(default=None, compare=False, repr=False)
     landed: bool = False
+    findings: tuple[Finding, ...] | None = ()
 
     @property
     def unwatched(self) -> tuple[str, ...]:
@@ -374,6 +380,11 @@ class Tracked:
         return "; ".join(f"{words}: {', '.join(names)}" for words, names in told.items() if names)
 
     @property
+    def faults(self) -> dict[str, str]:
+        """The faults of the data in words, each by its code and axis."""
+        return {f"{one.code} {one.axis}": told_of(one) for one in self.findings or () if one.severity != "info"}
+
+    @property
     def words(self) -> str:
         """The state of each axis in a few words, and the axes that are not watched; empty without axes."""
         axes = ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in self.axes.items())
@@ -387,6 +398,7 @@ class Tracked:
             "regime": self.regime,
             "axes": {name: axis.to_mapping() for name, axis in self.axes.items()},
             "air": self.air.to_mapping() if self.air else None,
+            "findings": None if self.findings is None else [asdict(finding) for finding in self.findings],
         }
 
 
@@ -455,6 +467,12 @@ class Track:
         groups = {told: ", ".join(axis for axis, other in words.items() if other == told) for told in words.values()}
         told = [f"{names} {told}" for told, names in groups.items()]
         return f"Watched for changes: {'; '.join(told)}" if told else ""
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """The faults of the data that the last state knows, in words."""
+        last = self.states[-1].faults if self.states else {}
+        return tuple(last.values())
 
     @property
     def laws_at_end(self) -> tuple[str, ...]:

@@ -136,8 +136,10 @@ _CORRECTED = ("command_clock_corrected", "pose_clock_corrected")
 
 
 def clock_findings(recording: Recording) -> Iterator[Finding]:
-    """Findings on the stamps of one flight."""
+    """Findings on the stamps of one flight, as its log holds them; none without one."""
     log, card, flight = recording.log, recording.card, recording.flight
+    if log is None:
+        return
     commands = stamps_of(log, card.command_time)[sample_rows(log, card.command_time, card.command)]
     poses = stamps_of(log, card.pose_time)[sample_rows(log, card.pose_time, card.pose)]
     yield from _several(flight)

@@ -30,7 +30,19 @@ def findings_of_flight(log: Log, flight: Flight) -> tuple[Finding, ...]:
         log: As recorded.
         flight: The flight read from it.
     """
-    recording = recording_of(log, flight)
+    return by_gravity(
+        finding if finding.code == DAMAGED else replace(finding, evidence=f"{flight.path}: {finding.evidence}")
+        for finding in _found(recording_of(log, flight))
+    )
+
+
+def faults_of(flight: Flight) -> tuple[Finding, ...]:
+    """What can be found without a log, as of a flight that is not over, the most severe first."""
+    return by_gravity(_found(recording_of(None, flight)))
+
+
+def _found(recording: Recording) -> list[Finding]:
+    """What all checks find, except what follows from something else that is found."""
     found = {check: tuple(check(recording)) for check in CHECKS}
     if found[
         frame_findings
@@ -46,11 +58,7 @@ def findings_of_flight(log: Log, flight: Flight) -> tuple[Finding, ...]:
         found[check] = tuple(finding for finding in found[check] if finding.axis not in still)
     if "x" in still:
         found[frame_findings] = ()
-    return by_gravity(
-        finding if finding.code == DAMAGED else replace(finding, evidence=f"{flight.path}: {finding.evidence}")
-        for findings in found.values()
-        for finding in findings
-    )
+    return [finding for findings in found.values() for finding in findings]
 
 
 def damage_of(log: Log) -> Finding | None:
@@ -67,7 +75,7 @@ def damage_of(log: Log) -> Finding | None:
 
 
 def _damage_findings(recording: Recording) -> Iterator[Finding]:
-    if damage := damage_of(recording.log):
+    if recording.log and (damage := damage_of(recording.log)):
         yield damage
 
 

@@ -191,20 +191,20 @@ def _other_axis_up(recording: Recording) -> Finding | None:
 def _order(recording: Recording) -> Finding | None:
     """Finding for a quaternion in which the vehicle obeys in another order only.
 
-    That it lies on its side is no proof: a body may be defined so.
+    That it lies on its side is no proof: a body may be defined so. A flight without a log has a heading alone.
     """
-    card, flight, own = recording.card, recording.flight, recording.answers
-    if "qw" not in card.pose:
+    log, card, flight, own = recording.log, recording.card, recording.flight, recording.answers
+    if log is None or "qw" not in card.pose:
         return None
     if "yaw" not in own.of or not np.ptp(flight.command[:, AXES.index("yaw")]):
-        upright = upright_order(recording.log, card.pose) if strays_from_its_names(own) else None
+        upright = upright_order(log, card.pose) if strays_from_its_names(own) else None
         told = "by the card as it is, the vehicle lies on its side throughout the flight and does not follow x and y"
         return _wrong_order(told, upright) if upright else None
     if turned_by_yaw(own):
         return None
     for parts in other_orders(card.pose):
         try:
-            other = answers_of(flight_from_log(recording.log, replace(card, pose={**card.pose, **parts})))
+            other = answers_of(flight_from_log(log, replace(card, pose={**card.pose, **parts})))
         except FlightError:
             continue
         if turned_by_yaw(other):

@@ -1,4 +1,4 @@
-"""Input of the checks of the data: a log, its flight, and the motion from differentiated poses."""
+"""Input of the checks of the data: a flight, its log if it has one, and the motion from differentiated poses."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,12 +16,12 @@ class Recording:
     """One flight as recorded and as repaired.
 
     Attributes:
-        log: As recorded.
+        log: As recorded; None of a flight that is not read from one.
         flight: The flight read from it, commands in the heading frame and after the card's scale.
         motion: Velocity and acceleration of the flight from differentiated poses.
     """
 
-    log: Log
+    log: Log | None
     flight: Flight
     motion: Motion
 
@@ -36,6 +36,6 @@ class Recording:
         return answers_of(self.flight, self.motion)
 
 
-def recording_of(log: Log, flight: Flight) -> Recording:
-    """A log and its flight, with the motion that several checks need."""
+def recording_of(log: Log | None, flight: Flight) -> Recording:
+    """A flight and its log, if it has one, with the motion that several checks need."""
     return Recording(log, flight, motion_from_flight(flight))

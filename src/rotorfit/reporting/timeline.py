@@ -89,7 +89,7 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
                 "states": known,
                 "rows": _rows(last.axes),
                 "air": _air(last.air),
-                "remarks": (*track.laws_at_end, *track.drifts),
+                "remarks": (*track.faults, *track.laws_at_end, *track.drifts),
             },
         ),
         "time": ("Over time", {"number": panels.number, "axes": _by_axis(panels)}),

@@ -195,6 +195,11 @@ class GrowingFlight:
         """The recordings of the flight, one for each start of the tracker that heard a command."""
         return [*self._earlier, *([Part(self._path, self._begun, self.now)] if self._begun < np.inf else [])]
 
+    @property
+    def raised(self) -> tuple[Alarm, ...]:
+        """What the next call of `alarms` will return."""
+        return tuple(self._alarms)
+
     def alarms(self) -> tuple[Alarm, ...]:
         """The alarms of the pose since the last call: that it froze, or jumped."""
         found, self._alarms = tuple(self._alarms), []

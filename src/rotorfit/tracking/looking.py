@@ -34,7 +34,7 @@ def main() -> None:
     following, so_far, model = Following(*promised), FlightSoFar(card, path), None
     with suppress(BrokenPipeError):  # the other process is gone
         while not isinstance(question := received(sys.stdin.buffer), Failed):
-            what, news, standing = question
+            what, news, standing, alarms = question
             if what == "recall":
                 following.recall(news)
                 continue
@@ -43,11 +43,11 @@ def main() -> None:
             if flight is None:
                 send(answers, None)
             elif what == "look":
-                looked = looked_at(following, flight, so_far.now, standing)
+                looked = looked_at(following, flight, so_far.now, standing, alarms)
                 send(answers, packed(looked, model) if looked else None)
                 model = looked.state.model if looked else model
             else:
-                send(answers, following.finish(flight, so_far.now))
+                send(answers, following.finish(flight, so_far.now, alarms))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.tracked import Regime, Tracked
+from rotorfit.core.tracked import Alarm, Regime, Tracked
 from rotorfit.tracking.air import Course
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.growing_flight import GrowingFlight
@@ -29,9 +29,11 @@ class Looked:
     doubt: Mapping[str, Doubt] = field(default_factory=dict)
 
 
-def looked_at(following: Following, flight: Flight, now: float, standing: bool) -> Looked | None:
+def looked_at(
+    following: Following, flight: Flight, now: float, standing: bool, alarms: tuple[Alarm, ...] = ()
+) -> Looked | None:
     """A look with everything that continues from it, or a glance, None without an alarm; see `Following.follow`."""
-    state = following.follow(flight, now, standing)
+    state = following.follow(flight, now, standing, alarms)
     return Looked(state, following.memory(), following.courses, following.doubt) if state else None
 
 
@@ -43,7 +45,7 @@ class Looks(Protocol):
     """Makes looks at a growing flight."""
 
     def ask(self, growing: GrowingFlight) -> None:
-        """Requests a look, or a glance, at the flight as it is now."""
+        """Requests a look, or a glance, at the flight as it is now; it takes the alarms of the pose."""
 
     def answers(self) -> Iterator[Looked]:
         """The looks that were completed since the last call, in order, and glances that raised or revised an alarm."""
@@ -72,7 +74,7 @@ class LooksHere:
     def ask(self, growing: GrowingFlight) -> None:
         """See `Looks`."""
         flight = growing.flight()
-        if flight and (looked := looked_at(self._following, flight, growing.now, growing.standing)):
+        if flight and (looked := looked_at(self._following, flight, growing.now, growing.standing, growing.alarms())):
             self._looked.append(looked)
 
     def answers(self) -> Iterator[Looked]:
@@ -83,7 +85,7 @@ class LooksHere:
     def finish(self, growing: GrowingFlight) -> End | None:
         """See `Looks`."""
         flight = growing.flight()
-        return self._following.finish(flight, growing.now) if flight else None
+        return self._following.finish(flight, growing.now, growing.alarms()) if flight else None
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """See `Looks`."""

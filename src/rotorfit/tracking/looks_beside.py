@@ -66,7 +66,7 @@ class LooksBeside:
             self._take(self._answered.get())
         if self._waiting < BEHIND:
             self._waiting += 1
-            self._asked.put(("look", growing.news(), growing.standing))
+            self._asked.put(("look", growing.news(), growing.standing, growing.alarms()))
 
     def answers(self) -> Iterator[Looked]:
         """See `Looks`.
@@ -88,7 +88,7 @@ class LooksBeside:
             RuntimeError: The process has failed; the message has its traceback.
             LinkError: The process was killed.
         """
-        self._asked.put(("finish", growing.news(), growing.standing))
+        self._asked.put(("finish", growing.news(), growing.standing, growing.alarms()))
         while self._waiting:
             self._take(self._answered.get())
         end: End | None = self._checked(self._answered.get())
@@ -96,7 +96,7 @@ class LooksBeside:
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """See `Looks`."""
-        self._asked.put(("recall", memory, False))
+        self._asked.put(("recall", memory, False, ()))
 
     def close(self) -> None:
         """Ends the process; kills it if looks are pending."""

@@ -45,6 +45,9 @@ ENOUGH, REPEATED = 2.0, 0.25
 
 ALL = ("x", "y", "z", "yaw")
 
+LEARNT = "; x and y are learnt anew, as their commands may now act in other directions"
+"""What follows from a jump of the heading."""
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -135,10 +138,13 @@ class PoseWatch:
         (at, there), (last, before) = self._past[0], past[-1]
         self.jumps.append(at)
         off = there - before
+        turned = bool(self._deviates(at, there, past)[3])
+        more = LEARNT if turned else ""
         alarm = Alarm(
             time, ALL, "pose_jumped", (last, at), {}, 1.0, 0.0,
             f"the pose went {float(np.linalg.norm(off[:3])):.2f} m and {abs(np.degrees(off[3])):.0f} deg within "
-            f"{at - last:.3f} s and went on from there: no vehicle does, its frame or its track changed",
+            f"{at - last:.3f} s and went on from there: no vehicle does, its frame or its track changed{more}",
+            turned=turned,
         )  # fmt: skip
         return Seen(tuple(self._past), alarm=alarm)
 
@@ -163,14 +169,18 @@ class PoseWatch:
         self._since, self._repeats, self.frozen = None, 0, False
 
     def _explained(self, time: float, pose: Array, past: list[tuple[float, Array]]) -> bool:
-        """Whether a vehicle can have reached a pose from the past ones; stamps may be wrong by a period."""
+        """Whether a vehicle can have reached a pose from the past ones."""
+        return not any(self._deviates(time, pose, past))
+
+    def _deviates(self, time: float, pose: Array, past: list[tuple[float, Array]]) -> list[bool]:
+        """Which of x, y, z and yaw no vehicle can have reached from the past ones; stamps may be wrong by a period."""
         (first, before), (last, here) = past[0], past[-1]
         since, known = time - last, last - first
         long = max(since, self._period)
         if known < LEAST or since > PAST:  # there is no valid velocity
-            return bool(np.all(np.abs(pose - here) <= FASTEST * long + REACH))
+            return list(np.abs(pose - here) > FASTEST * long + REACH)
         off = np.abs(pose - here - (here - before) / known * since)
-        return bool(np.all(off <= REACH + SUDDEN * long * (long + known) + NOISY * self._usual))
+        return list(off > REACH + SUDDEN * long * (long + known) + NOISY * self._usual)
 
     def _nearer_to_waiting(self, time: float, pose: Array) -> bool:
         """Whether a pose continues from those that wait rather than from the past, which allows more as it ages."""

@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorfit.core.flight_data import Flight, Segment
-from rotorfit.core.frozen import with_frozen
 from rotorfit.core.laws import AVERAGED
-from rotorfit.core.model import with_findings
 from rotorfit.core.tracked import Alarm, Track, Tracked
 from rotorfit.tracking.earlier import Earlier, check_earlier
 from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, Following
@@ -53,20 +51,15 @@ def tracked(
     for part, now in growing(flight, following.next_look, GLANCE):
         jumped += _watched(ground, watch, part, seen)
         seen = now
-        if state := following.follow(_split(part, watch.jumps), now, ground.touches):
-            states.append(replace(state, alarms=(*jumped, *state.alarms)))
+        if state := following.follow(_split(part, watch.jumps), now, ground.touches, tuple(jumped)):
+            states.append(state)
             jumped = []
             on_state(states[-1])
         if stopped():
             flight = part
             break
-    last, regimes = following.finish(_split(flight, watch.jumps), flight.segments[-1].end)
-    last = replace(last, alarms=(*jumped, *last.alarms))
+    last, regimes = following.finish(_split(flight, watch.jumps), flight.segments[-1].end, tuple(jumped))
     on_state(last)
-    regimes = tuple(
-        replace(one, model=one.model and with_frozen(with_findings(one.model, (*flight.findings, *one.model.findings))))
-        for one in regimes
-    )
     return Track((*states, last), regimes)
 
 

@@ -143,23 +143,28 @@ class Tracker:
         took, now = self._growing.add(sample), self._growing.now
         if took and sample.stream == "pose":
             self._stream.follow()
-        if took and now >= self._due:
+        due = took and now >= self._due
+        if due:
             self._due = next_look(self._due, now, GLANCE)
-            self._looks.ask(self._growing)
+        if due or self._growing.raised:
+            self._ask()
         self._take_in()
 
-    def _take_in(self) -> None:
-        """Takes the looks that are ready; alarms of the pose itself come before theirs."""
-        alarms = self._growing.alarms()
-        if any(alarm.cause == "pose_jumped" for alarm in alarms):
+    def _ask(self) -> None:
+        """Asks for a look or a glance, at once where the pose itself has raised an alarm."""
+        raised = self._growing.raised
+        if any(alarm.cause == "pose_jumped" for alarm in raised):
             self._stream.end()
+        if raised and self._growing.flight() is None:  # there is nothing to look at
+            self._tell(replace(self._state, time=self._growing.now, alarms=self._growing.alarms()))
+        self._looks.ask(self._growing)
+
+    def _take_in(self) -> None:
+        """Takes the looks that are ready."""
         for looked in self._looks.answers():
             self._memory = looked.memory
             self._stream.begin(looked.courses, looked.doubt)
-            self._tell(replace(looked.state, alarms=(*alarms, *looked.state.alarms)))
-            alarms = ()
-        if alarms:
-            self._tell(replace(self._state, alarms=alarms))
+            self._tell(looked.state)
 
     def _tell(self, state: Tracked) -> None:
         self._state = state

@@ -26,6 +26,7 @@ from rotorfit.app.cli.options import (
     structure_of,
     to_stderr,
 )
+from rotorfit.core.finding import told_of
 from rotorfit.core.plain import line_of
 
 if TYPE_CHECKING:
@@ -328,7 +329,7 @@ def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight
             click.echo(f"{log}: {note.text}", err=True)
     for finding in flight.findings:
         if finding.severity != "info":
-            click.echo(f"{finding.severity} {finding.code}: {finding.evidence}; {finding.remedy}", err=True)
+            click.echo(told_of(finding), err=True)
     for told in limits_of_earlier(asked.earlier, flight.card) if asked.earlier else ():
         click.echo(f"{log}: {told}", err=True)
     compiled_beforehand()
@@ -448,6 +449,10 @@ def _reporting(
         for fault in {unread, *(file.fault for file in files)} - said - {""}:
             said.add(fault)
             say(fault)
+        for key, fault in state.faults.items():
+            if key not in said:
+                said.add(key)
+                say(f"{state.time:.1f} s  {fault}")
 
     return report
 

@@ -77,7 +77,7 @@ def main() -> None:
     earlier = earlier_of(asked["after"]) if asked["after"] else None
     card, tuned = card_from_mapping(asked["card"], "of the flight"), asked["gains"] is not None
     tracker = Tracker(card, after=earlier, path=asked["path"], tuned=tuned)
-    gains, raised, states = list[str](), dict[float, str](), list[Tracked]()
+    gains, raised, states, said = list[str](), dict[float, str](), list[Tracked](), set[str]()
     regaining = None
     if tuned:
         from rotorfit.app.live.regained import regaining_of
@@ -99,7 +99,9 @@ def main() -> None:
             before = raised.get(one.raised) if one.revises is not None else None
             raised[one.raised] = "; ".join(filter(None, (f"{one.time:.2f} s  {one.title}: {one.why}", changes_of(one))))
             alarms.append((raised[one.raised], before))
-        told = {"time": state.time, "words": state.words, "alarms": alarms, "gains": [*gains, *tracker.remarks()]}
+        new = [f"{state.time:.1f} s  {text}" for key, text in state.faults.items() if key not in said]
+        said.update(state.faults)
+        told = {"time": state.time, "words": state.words, "alarms": alarms, "gains": [*gains, *tracker.remarks(), *new]}
         gains.clear()
         print(json.dumps({**told, "summary": summary}), file=answers, flush=True)
 

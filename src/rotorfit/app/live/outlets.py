@@ -213,7 +213,7 @@ class Remembering:
             self._held = stack.enter_context(_held(path))
             self.recalled = _recalled(path, tracker, regaining)
             stack.pop_all()
-        self.unrevised = [alarm for alarm in tracker.changes if alarm.revises is None]
+        self.unrevised = [alarm for alarm in tracker.changes if alarm.revises is None and not alarm.turned]
         self._path, self._tracker, self._regaining, self._next = path, tracker, regaining, 0
         self._memory: Mapping[str, Any] | None = None
         self._over, self._due = threading.Event(), threading.Event()

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from rotorfit.app.workflows import check_destination
+from rotorfit.assessment.summary import spoiled
 from rotorfit.control.retuning import Flown, Retuned, Retuning
 from rotorfit.control.tuning import LATENCY
+from rotorfit.core.finding import WRONG_FRAME
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Model
+from rotorfit.core.model import FROZEN, Model
 from rotorfit.core.tracked import UNMOVED, Alarm, Tracked, TrackedAxis
 from rotorfit.exports.gains import GAINS_MARK, check_gains_name, law_of, read_gains, tuning_mapping, write_gains
 from rotorfit.tracking.earlier import Earlier
@@ -110,8 +112,8 @@ class Regaining:
         if alarm.cause == "another_vehicle":
             self._retuning.another()
             self._changed = self._unchanged = {**self._changed, **dict.fromkeys(AXES, (alarm, alarm.time))}
-        if alarm.cause in OF_THE_VEHICLE:
-            again = alarm.revises is not None
+        if alarm.cause in OF_THE_VEHICLE or alarm.turned:
+            again, alarm = alarm.revises is not None, replace(alarm, axes=("x", "y")) if alarm.turned else alarm
             self._retuning.changed(alarm.axes, alarm.cause, again)
             if not again:
                 self._unchanged = self._changed
@@ -140,8 +142,21 @@ class Regaining:
             for word in ("known", "not_identifiable")
         }
         doubted = any(one.contradicts for one in state.axes.values())
-        if found := self._retuning.look(state.model, axes["known"], axes["not_identifiable"], doubted):
+        found = self._retuning.look(state.model, axes["known"], axes["not_identifiable"], doubted, self._misread)
+        if found:
             self._publish(found, state.model, state.time, now)
+
+    @property
+    def _misread(self) -> dict[str, str]:
+        """Axis to why its numbers may not be the vehicle's: the frame is wrong, or not checked yet."""
+        if self._state.findings is None:
+            return dict.fromkeys(("x", "y"), "it is not known yet whether its commands act along the heading")
+        wrong = *WRONG_FRAME, FROZEN
+        found = [replace(one, severity="error") if one.code in wrong else one for one in self._state.findings]
+        axes = self._state.model.axes if self._state.model else {}
+        return {
+            axis: f"its numbers are not the vehicle's ({one.code})" for one in found for axis in spoiled([one], axes)
+        }
 
     @property
     def summary(self) -> str:
@@ -166,6 +181,8 @@ class Regaining:
 
     def _missing(self, axis: str) -> str:
         """Why an axis has no new gains."""
+        if axis in (misread := self._misread):
+            return misread[axis]
         if axis in self._retuning.kept:
             return self._retuning.kept[axis]
         state = self._state.axes.get(axis, TrackedAxis())
