@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -25,12 +27,14 @@ from streams import CARD, SECOND, flown
 
 from rotorfit import flight
 from rotorfit.app.cli import main
+from rotorfit.app.cli.tracking import _reporting
 from rotorfit.app.live.feed import KEPT, Feed
 from rotorfit.app.live.outlets import Recording
 from rotorfit.app.live.page_server import LivePage
 from rotorfit.app.live.session import track_link
 from rotorfit.app.workflows import training_flights
 from rotorfit.core.errors import LinkOverError
+from rotorfit.core.finding import Finding
 from rotorfit.core.log import Sample
 from rotorfit.core.model import Model
 from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
@@ -197,6 +201,17 @@ class Played:
         self.now, count = until, sum(one.received <= until for one in self.samples)
         taken, self.samples = self.samples[:count], self.samples[count:]
         return taken
+
+
+def test_a_fault_of_the_data_is_said_once() -> None:
+    off = Finding("yaw_offset", "warning", "x acts 30 degrees off", "too small", "turn the heading")
+    said, lines = list[str](), list[str]()
+    out = SimpleNamespace(take=lambda _show, spare: lines.append(spare), stalled=False, fault="")
+    report = _reporting(cast(Any, SimpleNamespace(jsonl=True, regaining=None, out=out)), [], said.append)
+    for second in range(3):
+        report(Tracked(11.0 + second, {}, findings=(off, replace(off, severity="info", code="other"))), 0)
+
+    assert said == ["11.0 s  warning yaw_offset: x acts 30 degrees off; turn the heading"]
 
 
 def test_a_step_of_the_poses_clock_is_said_and_recorded(tmp_path: Path) -> None:

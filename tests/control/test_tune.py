@@ -162,6 +162,14 @@ def test_what_the_findings_deny_is_tuned_for_no_controller(code: str) -> None:
     assert set(tuning.axes) == {"y", "z", "yaw"}
 
 
+def test_gains_of_x_in_a_wrong_frame_say_so() -> None:
+    off = Finding("yaw_offset", "warning", "x acts 30 degrees off", "too small", "turn the heading")
+    tuned = tune(replace(model_of({"x": VEHICLE["x"], "z": VEHICLE["z"]}), findings=(off,))).axes
+
+    assert "made in a wrong frame: x acts 30 degrees off; turn the heading" in tuned["x"].note
+    assert "wrong frame" not in tuned["z"].note
+
+
 def test_an_axis_that_moves_backwards_is_not_tuned() -> None:
     g, b, tau = VEHICLE["z"]
 

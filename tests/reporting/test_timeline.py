@@ -10,6 +10,7 @@ import pytest
 from test_views import known_model
 
 from flights import flown
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Regime, Track, Tracked, TrackedAxis
 from rotorfit.reporting import write_timeline
@@ -56,6 +57,13 @@ def test_the_page_says_what_is_known_and_what_changed(track: Track, flight: Flig
     assert "97 % of the evidence" in page
     assert re.search(r'<td class="number strong">2\.400</td><td class="number">2\.350 to 2\.450</td>', page)
     assert "Too short, or too little commanded" in page
+
+
+def test_the_page_says_what_is_wrong_with_the_data(track: Track, flight: Flight) -> None:
+    off = Finding("yaw_offset", "warning", "x acts 30 degrees off", "too small", "turn the heading")
+    last = replace(track.states[-1], findings=(off,))
+
+    assert "x acts 30 degrees off; turn the heading" in timeline_page(replace(track, states=(last,)), flight)
 
 
 def test_the_mean_wind_is_told_where_it_is_known(track: Track, flight: Flight) -> None:

@@ -27,6 +27,7 @@ from rotorfit.control.robustness import (
 )
 from rotorfit.core.display import html_table, interval, number, text_table
 from rotorfit.core.errors import ModelError
+from rotorfit.core.finding import WRONG_FRAME
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY, structure_named
@@ -303,7 +304,8 @@ def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: LoopVehicle) 
 
 def _note(model: Model, axis: str, law: AxisLaw, noise: float | None) -> str:
     """The assumptions and warnings about the gains of an axis."""
-    notes = []
+    wrong = [one for one in model.findings if one.code in WRONG_FRAME and axis in ("x", "y")]
+    notes = [f"made in a wrong frame: {one.evidence}; {one.remedy}" for one in wrong]
     known = model.axes[axis]
     if axis in frozen_axes(model.findings):
         notes.append(MEND)

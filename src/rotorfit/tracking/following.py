@@ -54,7 +54,7 @@ from rotorfit.tracking.changes import (
 )
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, tells_as_much, told_after
-from rotorfit.tracking.excited_time import QUIET
+from rotorfit.tracking.excited_time import LONGEST, QUIET
 from rotorfit.tracking.groups import (
     Group,
     held_axes,
@@ -67,7 +67,6 @@ from rotorfit.tracking.groups import (
 )
 from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.refits import (
-    LONGEST,
     REFIT,
     AxisReport,
     GroupEstimate,
@@ -322,15 +321,9 @@ class Following:
         end = flight.segments[-1].end
         faults = {turn: self._faults(flight, turn) for turn in {self._turn(one.start) for one in regimes}}
         self._findings = faults[self._turn(now)]
-        last = replace(self._tracked(between(flight, 0.0, end), end, alarms), time=now, landed=True)
-        told = (
-            one.model
-            if one.start in self._kept
-            else self._with_faults(one.model, flight, faults[self._turn(one.start)])
-            for one in regimes
-        )
+        state = replace(self._tracked(between(flight, 0.0, end), end, alarms), time=now, landed=True)
         told = [self._with_faults(one.model, flight, faults[self._turn(one.start)]) for one in regimes]
-        return last, tuple(
+        return state, tuple(
             one if one.start in self._kept else replace(one, model=model)
             for one, model in zip(regimes, told, strict=True)
         )
