@@ -15,15 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.core.finding import MISREAD, WRONG_FRAME, Finding, by_gravity
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.frozen import with_frozen
 from rotorfit.core.laws import AVERAGED
-from rotorfit.core.model import NORMAL, Interval, Model, with_findings
+from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import HARDLY, UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
-from rotorfit.diagnosis.doctor import faults_of
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.optima import between
@@ -54,13 +52,13 @@ from rotorfit.tracking.changes import (
 )
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, tells_as_much, told_after
-from rotorfit.tracking.excited_time import LONGEST, QUIET
+from rotorfit.tracking.excited_time import QUIET
+from rotorfit.tracking.faults import checked, faults_after, last_turn, turns_of, with_faults
 from rotorfit.tracking.groups import (
     Group,
     held_axes,
     looks_back,
     new_excited_time,
-    part_between,
     quiet_for,
     recent_groups,
     scores_of_groups,
@@ -107,10 +105,6 @@ RESTLESS = 0.97
 STRONG = 3.0
 """Log-odds that count as strong evidence (R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795,
 section 3.2)."""
-
-CHECKED = 11.0
-"""Flight time from which on faults of the frame are told [s]. Of 46 flights, 26 of them recorded, 4 told one that was
-none after 5 or 8 s, none from 11 s on."""
 
 HELD = "its commands only answer its motion"
 
@@ -267,7 +261,7 @@ class Following:
         if not self._suspects(now):
             self._groups = {axes: self._looked(axes, flight, now) for axes in groups_of([flight], flight.axes)}
         if self._findings is None or self._as_refitted() is not before:
-            self._findings = self._checked(flight, now)
+            self._findings = checked(flight, turns_of(self._bounds), now)
         state = self._tracked(flight, now, (alarm,) if alarm else ())
         if self._earlier and not alarm and state.model is not before:
             unlike = self._another_vehicle(state, self._earlier)
@@ -319,10 +313,11 @@ class Following:
         known = {axes: self._groups.get(axes, Group(axes, max(self._since[axis] for axis in axes))) for axes in groups}
         self._groups = {axes: replace(one, fitted=last.get(axes, one.fitted)) for axes, one in known.items()}
         end = flight.segments[-1].end
-        faults = {turn: self._faults(flight, turn) for turn in {self._turn(one.start) for one in regimes}}
-        self._findings = faults[self._turn(now)]
+        turns = turns_of(self._bounds)
+        faults = {turn: faults_after(flight, turns, turn) for turn in (-np.inf, *turns)}
+        self._findings = faults[last_turn(turns, now)]
         state = replace(self._tracked(between(flight, 0.0, end), end, alarms), time=now, landed=True)
-        told = [self._with_faults(one.model, flight, faults[self._turn(one.start)]) for one in regimes]
+        told = [with_faults(one.model, flight, turns, faults[last_turn(turns, one.start)]) for one in regimes]
         return state, tuple(
             one if one.start in self._kept else replace(one, model=model)
             for one, model in zip(regimes, told, strict=True)
@@ -335,7 +330,9 @@ class Following:
             if start not in self._kept:
                 groups = groups_of([flight], flight.axes)
                 model = model_of_own(flight, self._bounds, groups, self._structure, start)
-                self._kept[start] = self._with_faults(model, flight, self._faults(flight, self._turn(start)))
+                turns = turns_of(self._bounds)
+                faults = faults_after(flight, turns, last_turn(turns, start))
+                self._kept[start] = with_faults(model, flight, turns, faults)
 
     def _jumped(self, alarm: Alarm) -> None:
         """Begins a regime for x and y where the heading jumped: nobody knows along which directions they act now.
@@ -346,46 +343,6 @@ class Following:
             self._raised, self._told, self._findings = None, None, None
             before = _Before(self._since, self._changed, self._bounds, self._groups)
             self._begin(replace(alarm, axes=("x", "y")), alarm.since[1], before)
-
-    @property
-    def _turns(self) -> list[float]:
-        """The times at which the heading jumped [s]: commands may act in other directions than before."""
-        return [when for when, alarm in self._bounds if alarm and alarm.turned]
-
-    def _turn(self, time: float) -> float:
-        """The last jump of the heading up to a time [s]; -inf if there was none."""
-        return max((turn for turn in self._turns if turn <= time), default=-np.inf)
-
-    def _faults(self, flight: Flight, begin: float) -> tuple[Finding, ...]:
-        """The faults of the data from a jump of the heading to the next [s]."""
-        part = self._unturned(flight, begin)
-        return faults_of(part) if part and part.duration >= LEAST_TIME else ()
-
-    def _unturned(self, flight: Flight, begin: float) -> Flight | None:
-        """The part of a flight from a jump of the heading to the next [s]."""
-        end = min((turn for turn in self._turns if turn > begin), default=np.inf)
-        return part_between(flight, begin, float(np.nextafter(end, -np.inf)))
-
-    def _checked(self, flight: Flight, now: float) -> tuple[Finding, ...] | None:
-        """What is wrong with the frame of the data since the heading last jumped; None before that can be told."""
-        part = self._unturned(flight, max(self._turn(now), now - LONGEST))
-        if part is None or part.duration < CHECKED:
-            return None
-        return tuple(one for one in faults_of(part) if one.code in MISREAD)
-
-    def _with_faults(self, model: Model | None, flight: Flight, faults: Sequence[Finding]) -> Model | None:
-        """A model with the faults of its data: those of its log, if that was diagnosed, or of what was heard."""
-        if model is None:
-            return None
-        known = [one for one in flight.findings if not (self._turns and one.code in WRONG_FRAME)]
-        codes = {(one.code, one.axis) for one in known}
-        if self._turns or not known:
-            known += [
-                replace(one, evidence=f"{flight.path}: {one.evidence}")
-                for one in faults
-                if (one.code, one.axis) not in codes
-            ]
-        return with_frozen(with_findings(model, (*by_gravity(known), *model.findings)))
 
     def _looked(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
         """A group after this look."""
