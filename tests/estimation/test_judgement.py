@@ -139,6 +139,15 @@ def test_flights_that_differ_do_not_hide_that_each_disobeys_the_law() -> None:
     assert axis.spread["input"].flights_sd == pytest.approx(np.log(1.1) / np.sqrt(2), rel=0.5)
 
 
+def test_flights_of_unlike_commands_that_differ_are_told_with_their_sizes() -> None:
+    """A dead zone makes the gain of small commands smaller, though each flight obeys the law with one of its own."""
+    flights = [flown_by("dead_zone", duration=40.0, seed=seed, amplitude=a) for seed, a in ((1, 0.2), (2, 0.6))]
+
+    told = {one.code: one for one in findings_of_fit(fit(flights, axes=("z",), structure="first_order_delay"))}
+    assert "their commands differ in size: 0.1" in told["flights_disagree"].evidence
+    assert "depends on the size or speed of the commands" in told["flights_disagree"].remedy
+
+
 def test_parts_are_compared_within_their_flights() -> None:
     """Two flights put a quantity 20 standard errors apart, and what was flown in each changes it by 12 or by none."""
     for size, found in ((12.0, True), (0.0, False)):

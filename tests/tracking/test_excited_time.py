@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from test_growing_flight import CARD
 
+from flights import by_hand
 from rotorfit.core.log import Sample
 from rotorfit.tracking.excited_time import LONGEST, QUIET, excited_since, excited_time
 from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.regimes import fading
 
 
 def commands(moving: float, hovering: float, after: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -41,3 +43,14 @@ def test_a_tracker_that_is_killed_in_a_hover_remembers_the_flight_before_it() ->
     memory = growing.memory()
     assert memory["commands_time"][0] < 1.0
     assert memory["poses_time"][0] < 1.0
+
+
+def test_a_regime_is_fitted_before_seconds_of_an_axis_that_is_rarely_commanded_are_forgotten() -> None:
+    time = np.arange(200.0, 1100.0, 0.5)
+    command = np.zeros((time.size, 4))
+    command[:, 0], command[:, 3] = np.arange(time.size) % 2, (time // 60) % 2
+    flight = by_hand(time, np.zeros((time.size, 4)), time, command)
+    bounds = [(0.0, None), (700.0, None)]
+
+    assert fading(flight, bounds, 0.0, [("x",)]) == []
+    assert fading(flight, bounds, 0.0, [("x",), ("yaw",)]) == [0.0]

@@ -38,6 +38,12 @@ SMALLER = (
 )
 """Remedy where small and large commands do not agree: no law that is tried bounds the acceleration."""
 
+WITHIN_ONE = (
+    "if the answer depends on the size or speed of the commands, the flights differ like this, too: a flight with "
+    "small and large, slow and fast ones shows it, since the law is tested within flights; "
+)
+"""Remedy where flights differ that were flown by unlike commands."""
+
 QUANTITIES = 4
 """Number of independent quantities of an axis, for the level of a test of the worst of them."""
 
@@ -91,7 +97,7 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
         f"the intervals of {name} are that much wider: they allow for what the law leaves out",
         ("" if stamped else STAMPS_ALONE)
         + ("" if chosen else "fit with --structure auto; ")
-        + (SMALLER if _by_size(axis) else "flights with commands of several sizes and speeds show what is missing"),
+        + (SMALLER if _by_size(axis) else "commands of several sizes and speeds in one flight show what is missing"),
         name,
     )
 
@@ -147,18 +153,31 @@ def disagreement_findings(fit: Fit) -> Iterator[Finding]:
             continue
         values = ", ".join("-" if one is None else f"{_plain(one[0], spread):.3g}" for one in spread.each)
         lines = _standing_out(fit, name, spread)
+        flown = _flown_unlike(fit, name, spread)
         yield Finding(
             "flights_disagree",
             "warning" if spread.flights_sd and spread.flights_sd > spread.prior_sd else "info",
             f"the {spread.flights} flights that determine {name} differ by more than their own errors, most in "
             f"{quantity.replace('_', ' ')}: {values} (p = {spread.p_value:.1g})"
-            + "".join(f"; {line}" for line in lines),
+            + "".join(f"; {line}" for line in (*lines, *flown)),
             f"the intervals of {name} are of the vehicle's mean over such flights; on the next one "
             f"{quantity.replace('_', ' ')} lies in {_ends(spread)}",
-            "compare the settings, payload, battery and wind of the flights that stand out; what cannot be explained "
+            (WITHIN_ONE if flown else "")
+            + "compare the settings, payload, battery and wind of the flights that stand out; what cannot be explained "
             "is in the intervals",
             name,
         )
+
+
+def _flown_unlike(fit: Fit, name: str, spread: Spread) -> list[str]:
+    """In what the commands of the flights differ that determine an axis, in the order of their values."""
+    flown = _all_conditions(fit.estimates[name])
+    out = []
+    for part, word in (("size", "size"), ("quickness", "number of changes a second")):
+        values = [getattr(flown[i], part) for i, one in enumerate(spread.each) if one is not None]
+        if max(values) > UNLIKE * min(values):
+            out.append(f"their commands differ in {word}: {', '.join(f'{value:.2g}' for value in values)}")
+    return out
 
 
 def _most_unlike(spreads: Mapping[str, Spread]) -> str | None:

@@ -287,10 +287,11 @@ def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterat
             *(
                 (
                     f"on this flight {axis} answers by other coefficients than the model's "
-                    f"({', '.join(_steps(tests.own_step))}); with them nothing is left that follows the command, so "
-                    "the law is not in doubt",
-                    "compare the settings, payload, battery and wind of this flight with those of the fit; fit them "
-                    "together: several flights tell how much flights differ",
+                    f"({', '.join(_steps(tests.own_step))}); with them nothing is left that follows the command: the "
+                    "vehicle differs on this flight, or its answer depends on the size or speed of the commands",
+                    "if its commands are of other size or speed than those of the fit, fit a flight that holds both; "
+                    "else compare settings, payload, battery and wind, and fit the flights together: several tell how "
+                    "much flights differ",
                 )
                 if has_own_coefficients(tests)
                 else (

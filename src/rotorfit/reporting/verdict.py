@@ -432,7 +432,8 @@ def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
         return Lamp("residuals", "yellow", "in doubt", sentences([text])[0], advice)
     follow = [each for each in tests if each.follows_command]
     means = (
-        "the vehicle answered by other coefficients than the model's, which leave nothing: its law is not in doubt"
+        "the vehicle answered by other coefficients than the model's, which leave nothing: it differed, or its answer "
+        "depends on the size or speed of the commands"
         if all(map(has_own_coefficients, follow))
         else "the model leaves out part of the answer, other motion may be predicted worse"
     )
@@ -448,7 +449,10 @@ def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
 def _with_residuals(tests: Sequence[ResidualTests], follows: bool, richer: bool) -> str:
     """What to do with a model whose residuals are not clean."""
     if follows and all(has_own_coefficients(each) for each in tests if each.follows_command):
-        return "use it, and fit it together with this flight: several tell how much flights differ"
+        return (
+            "use it for motion like that of the fit, and fit it together with this flight: several tell how much "
+            "flights differ"
+        )
     if follows:
         more = "; for other motion let a richer law try, see below" if richer else ""
         return f"use it for motion like that of these flights only{more}"

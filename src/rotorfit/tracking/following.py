@@ -326,9 +326,9 @@ class Following:
     def _keep(self, flight: Flight) -> None:
         """Fits the regimes that begin to be forgotten."""
         self._begins = min(self._begins, flight.span[0])
-        for start in fading(flight, self._bounds, self._begins):
+        groups = groups_of([flight], flight.axes)
+        for start in fading(flight, self._bounds, self._begins, groups):
             if start not in self._kept:
-                groups = groups_of([flight], flight.axes)
                 model = model_of_own(flight, self._bounds, groups, self._structure, start)
                 turns = turns_of(self._bounds)
                 faults = faults_after(flight, turns, last_turn(turns, start))

@@ -64,7 +64,7 @@ def regimes_of(
         kept: Start of a regime that `fading` names to the model that it had then.
     """
     spans, first = _spans(bounds, now), max(begin, flight.span[0])
-    gone = fading(flight, bounds, begin)
+    gone = fading(flight, bounds, begin, groups)
     unchanged = [
         {} if span[0] in gone else {axes: _unchanged(bounds, axes, span, now) for axes in groups} for span in spans
     ]
@@ -80,16 +80,20 @@ def regimes_of(
     return regimes, parts[-1]
 
 
-def fading(flight: Flight, bounds: Bounds, begin: float) -> list[float]:
+def fading(flight: Flight, bounds: Bounds, begin: float, groups: Sequence[tuple[str, ...]]) -> list[float]:
     """Starts of the regimes that have ended and of which seconds are forgotten that an estimate looks back over [s].
 
     Args:
         flight: The flight, as far as it is remembered.
         bounds: Its regimes.
         begin: Start of the flight, or of the part of it that is tracked [s].
+        groups: The axes that are fitted together: one that is rarely commanded looks back further.
     """
-    spans = _spans(bounds, np.inf)[:-1]
-    return [start for start, end in spans if flight.span[0] > max(begin, looks_back(flight, flight.axes, start, end))]
+    return [
+        start
+        for start, end in _spans(bounds, np.inf)[:-1]
+        if any(flight.span[0] > max(begin, looks_back(flight, axes, start, end)) for axes in groups)
+    ]
 
 
 def model_of_own(

@@ -66,8 +66,9 @@ class Weighted:
 def weighted_innovations(estimate: Estimate, wanted: Sequence[Estimand], own: Sequence[Array] = ()) -> list[Weighted]:
     """Innovations of each flight of an estimate, and their weights in the wanted quantities.
 
-    From those of several flights, what coefficients of the flight's own would explain is removed, to first order: how
-    much flights differ is judged by `random_effects`, and is neither colour of the innovations nor an error of the law.
+    From those of several flights, what coefficients of the flight's own would explain is removed, to first order and as
+    if all segments began alike: how much flights differ is judged by `random_effects`, and is neither colour of the
+    innovations nor an error of the law.
 
     Args:
         estimate: Of one flight or several.
