@@ -187,14 +187,16 @@ def test_errors_of_a_richer_law_are_those_of_its_intervals_not_of_the_law_stored
     model = model_of(VEHICLE, CARD)
     x = model.axes["x"]
     assert x.predictor
-    beside = weighed("first_order_delay", x.predictor, ["input", "damping", "delay"], np.diag([0.05, 0.01, 0.002]) ** 2)
+    half = replace(x.predictor, input=0.5 * x.predictor.input)
+    beside = weighed("first_order_delay", half, ["input", "damping", "delay"], np.diag([0.05, 0.01, 0.002]) ** 2)
     ends = {"input": (4.5, 6.0), "damping": (0.2, 0.3), "delay": (0.114, 0.230)}
     plain = Plain(x.input, x.damping, x.delay, beside.stderr, {}, x.status, beside)
     lagged = replace(x, structure="first_order_delay_lag", plain=plain, ci95=ends)
     belief = belief_from_model(replace(model, axes={**model.axes, "x": lagged}), "m.json")
 
     for name, (low, high) in ends.items():
-        assert errors(belief)[f"x.{name}"] == pytest.approx((high - low) / 2 / 1.96, rel=1e-4)
+        planned = 0.5 if name == "input" else 1.0  # as wide in proportion
+        assert errors(belief)[f"x.{name}"] == pytest.approx(planned * (high - low) / 2 / 1.96, rel=1e-4)
 
 
 def test_of_what_a_model_knows_no_note_of_its_card_is_left() -> None:

@@ -173,9 +173,8 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += _start_findings(name, axis, flights)
             found += _excitation_findings(name, axis, flights)
             cause = limited.get(name) or (with_size(axis, changed[0].remedy) if changed else "")
-            laws = law_findings(
-                name, axis, stamped
-            )  # no other law explains a vehicle at its limit, or one that changed
+            laws = law_findings(name, axis, stamped)
+            # no other law explains a vehicle at its limit, or one that changed
             found += (replace(one, remedy=cause) if cause else one for one in laws)
         elif contradicted(axis):
             found += law_findings(name, axis, stamped)

@@ -96,9 +96,10 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
     found = constancy(serving, estimate, axis)
     if found is None or found.probability > LEVEL:
         return
-    if max(_change(*halves) for halves in found.halves.values()) < LEAST_CHANGE:
+    changed = [place for place, halves in found.halves.items() if _change(*halves) >= LEAST_CHANGE]
+    if not changed:
         return
-    worst = max(found.halves, key=lambda place: _apart(*found.halves[place]))
+    worst = max(changed, key=lambda place: _apart(*found.halves[place]))
     log = serving[worst].path
     told = "; ".join(_told(part) for part in found.halves[worst])
     if len(serving) > 1:

@@ -311,7 +311,7 @@ def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
         bound = np.array([*UNKNOWN_SHARE, np.nan]) * values[at]
         bound[2] = DELAY[1]
         if _beyond(model.axes[axis]):
-            out[at, at] = _as_its_intervals(model.axes[axis], law, np.abs(bound))
+            out[at, at] = _as_its_intervals(model.axes[axis], law, values[at], np.abs(bound))
             continue
         out[at, at] = np.linalg.inv(np.linalg.inv(known) + np.diag(1 / bound**2))
     return out
@@ -322,20 +322,24 @@ def _beyond(axis: Axis) -> bool:
     return len(axis.laws) > 1 or axis.structure != STRUCTURE
 
 
-def _as_its_intervals(axis: Axis, law: Weighed, bound: Array) -> Array:
+def _as_its_intervals(axis: Axis, law: Weighed, values: Array, bound: Array) -> Array:
     """Covariance as wide as the intervals of an axis, correlated as in the planned law, shape (3, 3).
 
-    The tests of a law widen the intervals of the one that is published, not those of the one stored beside it.
+    The tests of a law widen the intervals of the one that is published, not those of the one stored beside it. Input
+    and damping of the two differ: their intervals are as wide in proportion.
 
     Args:
         axis: The axis.
         law: Its first-order law.
+        values: Input, damping and delay of that, shape (3,).
         bound: Largest standard errors, shape (3,).
     """
+    assert axis.predictor is not None
     correlation = np.eye(3)
     correlation[: len(law.stderr), : len(law.stderr)] = law.correlation
     ends = [axis.ci95[name] for name in COEFFICIENTS]
     half = np.array([np.inf if low is None or high is None else (high - low) / 2 for low, high in ends])
+    half[:2] *= np.abs(values[:2] / np.array([axis.predictor.input, axis.predictor.damping]))
     error = np.minimum(half / NORMAL, bound)
     return np.asarray(correlation * np.outer(error, error))
 
