@@ -277,10 +277,10 @@ def test_the_hexarotors_steady_gains_are_known_from_four_flights(real_flights: P
         low, high = axis.combinations["steady_gain"].ci95
         assert low is not None
         assert high is not None
-        assert 0.85 < low < high < 1.3  # commands are velocities
-    for name in ("x", "y"):  # z has a lag, and its stretches disagree under a law without
+        assert 0.8 < low < high < 1.3  # commands are velocities
+    for name in ("x", "y"):  # z has a lag, and slow and fast commands disagree under a law without
         assert {model.axes[name].status[part] for part in ("input", "damping", "delay")} == {"ok"}
-    assert "time" in {test.test for test in model.axes["z"].evidence}
+    assert "speed" in {test.test for test in model.axes["z"].evidence}
     assert model.axes["yaw"].status["damping"] == "not_identifiable"  # faster than a log of 10 Hz
 
 

@@ -805,7 +805,7 @@ def test_coefficients_change(tmp_path: Path) -> None:
     found = told["coefficients_change", "z"]
     assert found["severity"] == "warning"
     tracked = f"`rotorfit track {tmp_path / 'flight.csv'}`, with the card of this fit, finds when it changed, and what"
-    assert {one["remedy"].partition(";")[0] for (_, axis), one in told.items() if axis == "z"} == {tracked}
+    assert all(tracked in one["remedy"] for (_, axis), one in told.items() if axis == "z")
     first, _, _ = (numbers(part) for part in re.findall(r"s: (.*?) s[;)]", found["evidence"])[:1] * 3)
     gains = [float(gain) for gain in re.findall(r"\d s: ([\d.]+),", found["evidence"])]
     assert first[0] == gains[0] == pytest.approx(GAMMA_B[4], rel=0.1)

@@ -16,7 +16,7 @@ def slow_weights(count: int) -> Array:
 
 def seen(innovation: Array) -> Weighted:
     weight = slow_weights(innovation.size)
-    return Weighted(STEP * np.arange(innovation.size), innovation[:, None], weight, weight)
+    return Weighted(STEP * np.arange(innovation.size), innovation[:, None], weight, weight, np.zeros(1))
 
 
 def coloured(rng: np.random.Generator, count: int, memory: float) -> Array:
@@ -56,7 +56,7 @@ def test_innovations_that_are_large_where_the_weights_are_widen() -> None:
     weight = np.where(np.arange(1800) < 450, 1.0, 0.05)[:, None, None] * slow_weights(1800)
     size = np.where(np.arange(1800) < 450, 1.7, 0.6)
     one = seen(rng.standard_normal(1800) * size)
-    factor = widening([Weighted(one.time, one.innovation, weight, weight)], ["a"])["a"]
+    factor = widening([Weighted(one.time, one.innovation, weight, weight, np.zeros(1))], ["a"])["a"]
 
     assert factor == pytest.approx(1.7, rel=0.25)
 

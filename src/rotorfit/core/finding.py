@@ -51,10 +51,10 @@ class Finding:
         said = f"{self.evidence}; {self.effect}; {self.remedy}"
         return f"<b>{self.severity}</b> <code>{escape(self.code)}</code>{where}: {escape(said)}"
 
-
-def told_of(finding: Finding) -> str:
-    """A finding in one line: how severe it is, what was seen, and what to do."""
-    return f"{finding.severity} {finding.code}: {finding.evidence}; {finding.remedy}"
+    @property
+    def line(self) -> str:
+        """One line: how severe it is, what was seen, and what to do."""
+        return f"{self.severity} {self.code}: {self.evidence}; {self.remedy}"
 
 
 def told_together(findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -22,13 +22,13 @@ from rotorfit.core.display import (
     line_panels,
     number,
 )
-from rotorfit.core.finding import Finding, told_of
 from rotorfit.core.frames import POSE_UNITS, Array
 
 if TYPE_CHECKING:
     import polars as pl
     from matplotlib.axes import Axes
 
+    from rotorfit.core.finding import Finding
     from rotorfit.core.model import Interval, Model
 
 Knowledge = Literal["learning", "known", "holding", "not_identifiable", "not_excited"]
@@ -382,7 +382,7 @@ class Tracked:
     @property
     def faults(self) -> dict[str, str]:
         """The faults of the data in words, each by its code and axis."""
-        return {f"{one.code} {one.axis}": told_of(one) for one in self.findings or () if one.severity != "info"}
+        return {f"{one.code} {one.axis}": one.line for one in self.findings or () if one.severity != "info"}
 
     @property
     def words(self) -> str:

@@ -7,7 +7,7 @@ between looks only test. The tracker never commands a vehicle.
 
 import json
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
 from os import PathLike
@@ -60,6 +60,11 @@ def _check(sample: Sample) -> None:
         raise LogError(
             f"a sample of {sample.stream!r} has the value {wrong[0]!r}; give numbers, NaN where one is unknown"
         )
+
+
+def jumped(alarms: Sequence[Alarm]) -> bool:
+    """Whether one of some alarms is that the pose jumped."""
+    return any(alarm.cause == "pose_jumped" for alarm in alarms)
 
 
 class Tracker:
@@ -153,7 +158,7 @@ class Tracker:
     def _ask(self) -> None:
         """Asks for a look or a glance, at once where the pose itself has raised an alarm."""
         raised = self._growing.raised
-        if any(alarm.cause == "pose_jumped" for alarm in raised):
+        if jumped(raised):
             self._stream.end()
         if raised and self._growing.flight() is None:  # there is nothing to look at
             self._tell(replace(self._state, time=self._growing.now, alarms=self._growing.alarms()))
@@ -163,7 +168,8 @@ class Tracker:
         """Takes the looks that are ready."""
         for looked in self._looks.answers():
             self._memory = looked.memory
-            self._stream.begin(looked.courses, looked.doubt)
+            if not jumped(looked.state.alarms):  # too little has been seen since to tell a velocity
+                self._stream.begin(looked.courses, looked.doubt)
             self._tell(looked.state)
 
     def _tell(self, state: Tracked) -> None:

@@ -26,7 +26,6 @@ from rotorfit.app.cli.options import (
     structure_of,
     to_stderr,
 )
-from rotorfit.core.finding import told_of
 from rotorfit.core.plain import line_of
 
 if TYPE_CHECKING:
@@ -329,7 +328,7 @@ def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight
             click.echo(f"{log}: {note.text}", err=True)
     for finding in flight.findings:
         if finding.severity != "info":
-            click.echo(told_of(finding), err=True)
+            click.echo(finding.line, err=True)
     for told in limits_of_earlier(asked.earlier, flight.card) if asked.earlier else ():
         click.echo(f"{log}: {told}", err=True)
     compiled_beforehand()
