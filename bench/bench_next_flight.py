@@ -1,6 +1,6 @@
 """Does the interval of the next flight hold, given two or three recorded flights of a vehicle?
 
-    python bench/bench_next_flight.py --cache FOLDER [--data FOLDER] [--structure LAW]
+    python bench/bench_next_flight.py --cache FOLDER [--data FOLDER] [--structure LAW] [--whole]
 
 Every flight, or part of one, of `bench_real_coverage.py` is fitted alone (whose cache this reads). Of every two, and
 every three, of a vehicle the next flight is predicted by `random_effects`, as a fit of several flights does it: from
@@ -10,7 +10,9 @@ of the vehicle is then compared with that, allowing for its own error times its 
     z = 1.96 |mean - y| / sqrt(h^2 + (1.96 s D)^2),     h the half width of the interval of the next flight
 
 Shares with z below 1.96 are listed by the p-value of Cochran's Q, by which the given flights agree or not; beside them
-the same by Hartung and Knapp's interval without a prior where p < 0.05, and how much wider that is (median). Below,
+the same by Hartung and Knapp's interval without a prior where p < 0.05, and how much wider that is (median). With
+`--whole`, all flights but one of a vehicle of four or more are fitted together instead, tests of the law included, and
+the interval of the next flight is compared with the one left out. Below,
 without recordings, the calculation alone: 800 vehicles a row (seed 1) whose flights differ by a given spread, in
 standard errors of one flight.
 """
@@ -26,12 +28,15 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
-from bench_real_coverage import VEHICLES, fitted, known_of
+from bench_real_coverage import VEHICLES, card_of, fitted, known_of
 from bench_spread_scales import half_of
+from rotorfit.app.workflows import load_flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import NORMAL
+from rotorfit.core.model import NORMAL, Model
+from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.judgement.random_effects import random_effects
 from rotorfit.estimation.judgement.spread_prior import spread_scale
+from rotorfit.files.log_span import parse_log
 
 P_VALUES = ((0.0, 1.0), (0.05, 1.0), (0.001, 0.05), (0.0, 0.001))
 
@@ -125,6 +130,37 @@ def recorded(data: Path, structure: str, cache: Path) -> None:
             print(f"{'without the prior':>40}, {wider:.1f} times as wide: {without}")
 
 
+def left_out(data: Path, structure: str, cache: Path) -> None:
+    """Prints the shares of flights that were left out of a fit of the others."""
+    for vehicle in (one for one in VEHICLES if len(one.logs) >= 4 and not one.within and "@" not in one.logs[0]):
+        flights = [load_flight(parse_log(str(data / log)), card_of(str(data / log))) for log in vehicle.logs]
+        alone = [fitted(data, log, structure, cache) for log in vehicle.logs]
+        found = []
+        for i, other in enumerate(alone):
+            others = [flight for j, flight in enumerate(flights) if j != i]
+            model = fit(others, structure=structure).model
+            found += [z for axis in AXES for z in _beside(model, other, axis)]
+        z = np.array(found)
+        inside, factor = 100 * np.mean(z < NORMAL), np.sqrt(np.mean(z**2))
+        print(f"{vehicle.name}: {z.size} left out, {inside:.1f} % inside, root mean square {factor:.2f}", flush=True)
+
+
+def _beside(model: Model, other: Model, axis: str) -> Iterator[float]:
+    """z of each quantity of a flight beside the interval of the next flight, by the half width that faces it."""
+    mean, wide, own = known_of(model, axis, False), known_of(other, axis, False), known_of(other, axis, True)
+    for name, spread in model.axes[axis].spread.items():
+        low, high = spread.next_flight
+        if name not in mean.keys() & wide.keys() & own.keys() or low is None or high is None:
+            continue
+        if spread.logarithmic and low * high <= 0:
+            continue
+        ends = sorted(np.log(np.abs([low, high]))) if spread.logarithmic else [low, high]
+        off = wide[name].value - mean[name].value
+        half = ends[1] - mean[name].value if off > 0 else mean[name].value - ends[0]
+        doubt = max(half_of(wide[name], own[name], name, side).doubt for side in (-1, 1))
+        yield NORMAL * abs(off) / math.hypot(half, doubt * (own[name].high - own[name].low) / 2)
+
+
 def simulated() -> None:
     """Prints the shares of the calculation alone."""
     rng = np.random.default_rng(1)
@@ -144,13 +180,15 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--structure", default="averaged")
     parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--whole", action="store_true", help="fit all flights but one together")
     options = parser.parse_args()
     options.cache.mkdir(parents=True, exist_ok=True)
     if options.data.is_dir():
-        recorded(options.data, options.structure, options.cache)
+        (left_out if options.whole else recorded)(options.data, options.structure, options.cache)
     else:
         print(f"{options.data}: no recordings there; name their folder with --data")
-    simulated()
+    if not options.whole:
+        simulated()
 
 
 if __name__ == "__main__":
