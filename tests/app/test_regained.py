@@ -29,7 +29,7 @@ CHANGED = Alarm(3.0, ("x",), "limits", (2.0, 2.5), {}, 0.9, 1e-9, "because")
 def states(*models: Model, axes: tuple[str, ...] = ("x",), **more: Any) -> list[Tracked]:
     """A state a second, each with a new fit."""
     known = {axis: TrackedAxis("known", "known") for axis in axes}
-    return [Tracked(float(5 + k), known, model=model, **more) for k, model in enumerate(models)]
+    return [Tracked(float(5 + k), known, **{"model": model, "findings": (), **more}) for k, model in enumerate(models)]
 
 
 def told(

@@ -352,3 +352,15 @@ def test_what_settles_while_it_is_withheld_is_tuned_for_afterwards() -> None:
     assert [retuning.look(fit, ("x",), withheld=("x",)) for fit in fits] == [None, None]
     assert retuning.look(fits[-1], ("x",)) is not None
     assert retuning.look(fits[-1], ("x",)) is None
+
+
+def test_what_settled_while_it_was_withheld_is_not_tuned_for_against_a_newer_fit() -> None:
+    gain, *rest = VEHICLE["x"]
+    fits, retuning = [next_fit({"x": (1.6 * gain, *rest)}) for _ in range(2)], Retuning()
+    for fit in fits:
+        retuning.look(fit, ("x",), withheld=("x",))
+
+    assert retuning.look(next_fit({"x": VEHICLE["x"]}), ("x",)) is None
+    later = retuning.look(next_fit({"x": VEHICLE["x"]}), ("x",))
+    assert later is not None
+    assert later.tuning.axes["x"].law == tune(next_fit({"x": VEHICLE["x"]}), rate=later.tuning.rate).axes["x"].law

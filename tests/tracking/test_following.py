@@ -514,7 +514,7 @@ def test_a_heading_that_is_off_from_the_start_is_told_as_of_a_log_and_kept_in_th
     assert regime.model
 
     assert early.findings is None
-    assert late.faults["yaw_offset None"].startswith("warning yaw_offset: a command of x acts -")
+    assert late.faults["yaw_offset None 0"].startswith("warning yaw_offset: a command of x acts -")
     assert late.to_mapping()["findings"][0]["code"] == "yaw_offset"
     assert landed.faults.keys() >= late.faults.keys()
     assert f"{flight.path}: a command of x acts" in " ".join(one.evidence for one in regime.model.findings)

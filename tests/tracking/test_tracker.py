@@ -228,3 +228,37 @@ def test_the_state_that_follows_an_alarm_of_the_pose_is_of_that_moment() -> None
 
     assert at.time == pytest.approx(at.alarms[0].time, abs=0.03)
     assert [state.time for state in told] == sorted({state.time for state in told})
+
+
+class Late:
+    """Looks that are made when they are asked for and answered when released, as by a process that is busy."""
+
+    def __init__(self, looks: Any) -> None:
+        self._looks, self.released = looks, True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._looks, name)
+
+    def answers(self) -> list[Any]:
+        return list(self._looks.answers()) if self.released else []
+
+
+def test_an_alarm_of_the_pose_is_told_at_once_and_once_though_looks_are_late() -> None:
+    tracker, samples = Tracker(CARD, LAW, origin=0), samples_of(known_flight())
+    tracker._looks = late = Late(tracker._looks)  # type: ignore[assignment]
+    for sample in samples:
+        tracker.update(sample)
+    tracker.news()
+    late.released = False
+    last, pose = samples[-1].stamp, next(one for one in reversed(samples) if one.stream == "pose")
+    for k in range(1, 40):
+        x, *rest = pose.values
+        there = (x + 3.0 + 0.001 * k, *rest)
+        tracker.update(replace(pose, stamp=last + 8_000_000 * k, received=0, values=there))
+    early = [alarm.cause for state in tracker.news() for alarm in state.alarms]
+    late.released = True
+    tracker.update(replace(pose, stamp=last + 8_000_000 * 40, received=0, values=there))
+    after = [alarm.cause for state in tracker.news() for alarm in state.alarms]
+
+    assert early == ["pose_jumped"]
+    assert after == []

@@ -231,7 +231,10 @@ class Retuning:
         why: dict[str, str] = {}
         rate = self._rate or rate_of(model)
         for axis in (axis for axis in AXES if axis in known or axis in excited):
-            belief = self._settled(model, axis, axis in known, doubted) or self._withheld.pop(axis, None)
+            fit, waited = self._fits.get(axis), self._withheld.pop(axis, None)
+            belief = self._settled(model, axis, axis in known, doubted)
+            if belief is None and self._fits.get(axis) is fit:  # nothing new denies what has waited
+                belief = waited
             if belief and axis in withheld:
                 self._withheld[axis] = belief
             if belief is None or axis in withheld:

@@ -364,7 +364,7 @@ class Tracked:
     air: Air | None = None
     model: Model | None = field(default=None, compare=False, repr=False)
     landed: bool = False
-    findings: tuple[Finding, ...] | None = ()
+    findings: tuple[Finding, ...] | None = None
 
     @property
     def unwatched(self) -> tuple[str, ...]:
@@ -381,8 +381,10 @@ class Tracked:
 
     @property
     def faults(self) -> dict[str, str]:
-        """The faults of the data in words, each by its code and axis."""
-        return {f"{one.code} {one.axis}": one.line for one in self.findings or () if one.severity != "info"}
+        """The faults of the data in words, each by its code, axis and regime: after a change they are others."""
+        return {
+            f"{one.code} {one.axis} {self.regime}": one.line for one in self.findings or () if one.severity != "info"
+        }
 
     @property
     def words(self) -> str:

@@ -339,7 +339,8 @@ def _as_its_intervals(axis: Axis, law: Weighed, values: Array, bound: Array) -> 
     correlation[: len(law.stderr), : len(law.stderr)] = law.correlation
     ends = [axis.ci95[name] for name in COEFFICIENTS]
     half = np.array([np.inf if low is None or high is None else (high - low) / 2 for low, high in ends])
-    half[:2] *= np.abs(values[:2] / np.array([axis.predictor.input, axis.predictor.damping]))
+    own = np.abs([axis.predictor.input, axis.predictor.damping])
+    half[:2] *= np.abs(values[:2]) / np.maximum(own, np.finfo(float).tiny)
     error = np.minimum(half / NORMAL, bound)
     return np.asarray(correlation * np.outer(error, error))
 

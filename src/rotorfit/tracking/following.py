@@ -199,6 +199,7 @@ class Following:
         self._raised: _Raised | None = None
         self._told: _Raised | None = None  # the alarm that was revised last
         self._findings: tuple[Finding, ...] | None = None
+        self._shown: tuple[Model | None, tuple[Finding, ...] | None, Model | None] = (None, None, None)
         self._suspected: float | None = None
         self._sinking: _BeforeSinking | None = None
         self._watched: dict[str, float] = {}
@@ -263,7 +264,7 @@ class Following:
         if self._findings is None or self._as_refitted() is not before:
             self._findings = checked(flight, turns_of(self._bounds), now)
         state = self._tracked(flight, now, (alarm,) if alarm else ())
-        if self._earlier and not alarm and state.model is not before:
+        if self._earlier and not alarm and self._as_refitted() is not before:
             unlike = self._another_vehicle(state, self._earlier)
             return self._tracked(flight, now, (unlike,)) if unlike else state  # anew, without the earlier numbers
         return state
@@ -590,8 +591,16 @@ class Following:
             }
             self._contradicts = {axis: one.contradicts for axis, one in axes.items() if one.contradicts}
             self._told_itself |= self._contradicts.keys()
-        model, findings = self._as_refitted(), self._findings
+        model, findings = self._with_findings(flight), self._findings
         return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, model, findings=findings)
+
+    def _with_findings(self, flight: Flight) -> Model | None:
+        """The model of the last refits with the faults of the data: the same object until one of the two is another."""
+        model, findings, _ = self._shown
+        if model is not self._as_refitted() or findings is not self._findings:
+            model, findings = self._as_refitted(), self._findings
+            self._shown = model, findings, with_faults(model, flight, turns_of(self._bounds), findings or ())
+        return self._shown[2]
 
     def _as_refitted(self) -> Model | None:
         """The model of the last refits: the same object until the next refit."""

@@ -7,7 +7,7 @@ between looks only test. The tracker never commands a vehicle.
 
 import json
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
 from os import PathLike
@@ -60,11 +60,6 @@ def _check(sample: Sample) -> None:
         raise LogError(
             f"a sample of {sample.stream!r} has the value {wrong[0]!r}; give numbers, NaN where one is unknown"
         )
-
-
-def jumped(alarms: Sequence[Alarm]) -> bool:
-    """Whether one of some alarms is that the pose jumped."""
-    return any(alarm.cause == "pose_jumped" for alarm in alarms)
 
 
 class Tracker:
@@ -127,7 +122,9 @@ class Tracker:
         axes = {axis: until_known(begin, earlier, axis) if earlier else begin for axis in AXES}
         self._state = Tracked(0.0, axes)
         self._unread: deque[Tracked] = deque(maxlen=UNREAD)
-        self._begun = False
+        self._begun, self._jumped = False, -np.inf  # when the pose last jumped
+        self._asked: tuple[Alarm, ...] = ()  # alarms of the pose that no look has told
+        self._early: tuple[Alarm, ...] = ()  # those of them that were told without one
         self._end: End | None = None
         self._stream = MotionStream(*self._growing.rows)
 
@@ -151,26 +148,32 @@ class Tracker:
         due = took and now >= self._due
         if due:
             self._due = next_look(self._due, now, GLANCE)
-        if due or self._growing.raised:
-            self._ask()
-        self._take_in()
-
-    def _ask(self) -> None:
-        """Asks for a look or a glance, at once where the pose itself has raised an alarm."""
-        raised = self._growing.raised
-        if jumped(raised):
+        new = tuple(alarm for alarm in self._growing.raised if alarm not in self._asked)
+        if any(alarm.cause == "pose_jumped" for alarm in new):
             self._stream.end()
-        if raised and self._growing.flight() is None:  # there is nothing to look at
-            self._tell(replace(self._state, time=self._growing.now, alarms=self._growing.alarms()))
-        self._looks.ask(self._growing)
+            self._jumped = now
+        if due or new:
+            self._asked = (*self._asked, *new)
+            self._looks.ask(self._growing)
+        self._take_in()
+        if late := tuple(alarm for alarm in new if alarm in self._asked):  # its look is not made yet
+            self._early = (*self._early, *late)
+            self._tell(replace(self._state, time=now, alarms=late))
 
     def _take_in(self) -> None:
         """Takes the looks that are ready."""
         for looked in self._looks.answers():
             self._memory = looked.memory
-            if not jumped(looked.state.alarms):  # too little has been seen since to tell a velocity
+            if looked.state.time > self._jumped:  # before, or just after a jump, it tells no velocity of now
                 self._stream.begin(looked.courses, looked.doubt)
-            self._tell(looked.state)
+            self._tell(self._not_told_early(looked.state))
+
+    def _not_told_early(self, state: Tracked) -> Tracked:
+        """A state without the alarms of the pose that were told before its look was made."""
+        self._asked = tuple(alarm for alarm in self._asked if alarm not in state.alarms)
+        told = replace(state, alarms=tuple(alarm for alarm in state.alarms if alarm not in self._early))
+        self._early = tuple(alarm for alarm in self._early if alarm not in state.alarms)
+        return told
 
     def _tell(self, state: Tracked) -> None:
         self._state = state
@@ -262,6 +265,8 @@ class Tracker:
             try:
                 end = self._looks.finish(self._growing)
                 self._take_in()
+                if end:
+                    end = self._not_told_early(end[0]), end[1]
             finally:
                 self.close()
             self._end = end or (replace(self._state, alarms=()), ())

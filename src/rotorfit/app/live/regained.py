@@ -12,6 +12,7 @@ from rotorfit.control.retuning import Flown, Retuned, Retuning
 from rotorfit.control.tuning import LATENCY
 from rotorfit.core.finding import WRONG_FRAME
 from rotorfit.core.frames import AXES
+from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.model import FROZEN, Model
 from rotorfit.core.tracked import UNMOVED, Alarm, Tracked, TrackedAxis
 from rotorfit.exports.gains import GAINS_MARK, check_gains_name, law_of, read_gains, tuning_mapping, write_gains
@@ -154,9 +155,9 @@ class Regaining:
         wrong = *WRONG_FRAME, FROZEN
         found = [replace(one, severity="error") if one.code in wrong else one for one in self._state.findings]
         axes = self._state.model.axes if self._state.model else {}
-        return {
-            axis: f"its numbers are not the vehicle's ({one.code})" for one in found for axis in spoiled([one], axes)
-        }
+        spoilt = {axis: one.code for one in found for axis in spoiled([one], axes)}
+        spoilt |= dict.fromkeys(frozen_axes(found), FROZEN)
+        return {axis: f"its numbers are not the vehicle's ({code})" for axis, code in spoilt.items()}
 
     @property
     def summary(self) -> str:
