@@ -40,7 +40,7 @@ import json, sys
 from rotorfit.flying.beside import RECORD
 data = sys.stdin.buffer.read().split(b"\\n", 1)[1]
 heard = [RECORD.unpack_from(data, at) for at in range(0, len(data), RECORD.size)]
-print(json.dumps({"time": 0.0, "words": "", "summary": json.dumps(heard), "alarms": [], "gains": []}))
+print(json.dumps({"time": 0.0, "words": "", "summary": json.dumps(heard), "alarms": [], "lines": []}))
 """
     (tmp_path / "echo_of_samples.py").write_text(text)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))

@@ -103,7 +103,7 @@ class Beside:
         for line in self._process.stdout:
             told = json.loads(line)
             self.time, self.words, self.summary = told["time"], told["words"], told["summary"]
-            for text, revised in (*told["alarms"], *((gains, None) for gains in told["gains"])):
+            for text, revised in (*told["alarms"], *((line, None) for line in told["lines"])):
                 place = self.told.index(revised) if revised in self.told else len(self.told)
                 self.told[place : place + 1] = [text]
                 self._news.append(text)

@@ -298,8 +298,8 @@ def verdict_of(
 
     Each axis has three lamps. Predictions: see `uses_of`, at the planning horizon. Coefficients: green if all are known
     and no finding warns of them, including findings about the residuals; those that miss the targets of a controller
-    are named, in the headline, too. Residuals: green if no test rejects the model
-    at 95 %. The light of the axis is the worst of the three.
+    are named, in the headline, too. Residuals: green if no test rejects the model at 95 %. The light of the axis is the
+    worst of the three.
 
     Args:
         model: The model, with its findings.
@@ -430,25 +430,32 @@ def _residuals(tests: Sequence[ResidualTests], richer: bool) -> Lamp:
         text = f"{what} ({chance(p)}): weak evidence, of tests of a right model one in 20 falls below 0.05"
         advice = "use it; this may be chance, and another flight that is not fitted will tell"
         return Lamp("residuals", "yellow", "in doubt", sentences([text])[0], advice)
-    follow = [each for each in tests if each.follows_command]
+    own = all(has_own_coefficients(each) for each in tests if each.follows_command)
     means = (
         "the vehicle answered by other coefficients than the model's, which leave nothing: it differed, or its answer "
         "depends on the size or speed of the commands"
-        if all(map(has_own_coefficients, follow))
+        if own
         else "the model leaves out part of the answer, other motion may be predicted worse"
     )
     answers = what != "not white"
     text = f"{what} ({chance(p)}): {means if answers else 'something regular is left that the commands do not explain'}"
-    advice = _with_residuals(tests, answers, richer)
+    advice = _with_residuals(tests, answers, own, richer)
     if ratios and max(ratios) > OTHER:
         text += f"; their variance is up to {max(ratios):.2g} times that of the fit"
         advice += f"; multiply the standard deviations of its noise by {figure(max(ratios) ** 0.5)}"
     return Lamp("residuals", "yellow", "not clean", sentences([text])[0], advice)
 
 
-def _with_residuals(tests: Sequence[ResidualTests], follows: bool, richer: bool) -> str:
-    """What to do with a model whose residuals are not clean."""
-    if follows and all(has_own_coefficients(each) for each in tests if each.follows_command):
+def _with_residuals(tests: Sequence[ResidualTests], follows: bool, own: bool, richer: bool) -> str:
+    """What to do with a model whose residuals are not clean.
+
+    Args:
+        tests: Of flights that were not fitted.
+        follows: Whether the residuals follow the commands.
+        own: Whether coefficients of the flights' own leave nothing that follows.
+        richer: Whether a richer law could be chosen, and none was tried.
+    """
+    if follows and own:
         return (
             "use it for motion like that of the fit, and fit it together with this flight: several tell how much "
             "flights differ"

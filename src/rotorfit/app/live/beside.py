@@ -90,7 +90,7 @@ def main() -> None:
         )
 
     def tell(state: Tracked, now: int, summary: str = "") -> None:
-        """Answers with a state, the alarms and gains since the last one, and a summary."""
+        """Answers with a state, what is to be said since the last one (alarms, gains, faults), and a summary."""
         states.append(state)
         if regaining:
             regaining.state(state, now)
@@ -101,7 +101,7 @@ def main() -> None:
             alarms.append((raised[one.raised], before))
         new = [f"{state.time:.1f} s  {text}" for key, text in state.faults.items() if key not in said]
         said.update(state.faults)
-        told = {"time": state.time, "words": state.words, "alarms": alarms, "gains": [*gains, *tracker.remarks(), *new]}
+        told = {"time": state.time, "words": state.words, "alarms": alarms, "lines": [*gains, *tracker.remarks(), *new]}
         gains.clear()
         print(json.dumps({**told, "summary": summary}), file=answers, flush=True)
 

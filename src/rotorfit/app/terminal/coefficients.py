@@ -115,9 +115,13 @@ def _coefficient_table(model: Model, axes: Sequence[str], narrow: bool) -> Table
 
 def _next_flight_lines(model: Model, axes: Sequence[str]) -> Iterator[str]:
     """What each axis is on another flight: the interval of the vehicle is that of its mean over flights."""
+    rows = [row for row in coefficient_rows(model) if not row.given]
     for axis in axes:
-        rows = [row for row in coefficient_rows(model) if row.axis == axis and not row.given]
-        told = [f"{_words(row.name)} {interval_text(row.next_flight)}" for row in rows if row.next_flight]
+        told = [
+            f"{_words(row.name)} {interval_text(row.next_flight)}"
+            for row in rows
+            if row.axis == axis and row.next_flight
+        ]
         if told:
             yield f"{axis} on the next flight, 95 %: {', '.join(told)}"
 
