@@ -117,6 +117,11 @@ def _rate(law: dict[str, Array], state: Array, u: Array) -> Array:
             a[k], dq[k] = q - drag, (w[k] - q) / T
         else:
             a[k] = w[k] - drag - cross * (v[1 - k] if k < 2 else 0.0)
+    orders = [law[axis][ORDER] for axis in AXES[:2]]
+    if max(orders) == 1:  # the lagged demand keeps its direction in space
+        along = [state[8 + k] if order else w[k] for k, order in enumerate(orders)]
+        dq[0] += v[3] * along[1] * (orders[0] == 1)
+        dq[1] -= v[3] * along[0] * (orders[1] == 1)
     c, s = np.cos(state[3]), np.sin(state[3])
     return np.concatenate([state[4:8], [c * a[0] - s * a[1], s * a[0] + c * a[1], a[2], a[3]], dq])
 

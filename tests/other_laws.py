@@ -49,6 +49,8 @@ LAWS: dict[str, Law] = {
 }
 """As they are written on paper, with the numbers of `TRUTH`."""
 
+LAGGED_INPUT = "first_order_lag", "first_order_delay_lag"
+
 TRUTH: dict[str, dict[str, float]] = {
     "first_order": {"input": G, "damping": B},
     "first_order_delay": {"input": G, "damping": B, "delay": DELAY},
@@ -111,7 +113,9 @@ def flown_by(
     for i in range(1, gust_time.size):
         gust[i] = np.exp(-0.1) * gust[i - 1] + wind * np.sqrt(1 - np.exp(-0.2)) * rng.standard_normal(K)
     heading = lambda t: turn * np.sin(0.5 * np.asarray(t))  # noqa: E731
-    position = _integrated(LAWS[name], pose_time, command_time + delay_of(name), command, gust_time, gust, heading)
+    position = _integrated(
+        LAWS[name], pose_time, command_time + delay_of(name), command, gust_time, gust, heading, name in LAGGED_INPUT
+    )
     pose, whole = np.zeros((pose_time.size, 4)), np.zeros((command_time.size, 4))
     column = [AXES.index(axis) for axis in axes]
     pose[:, 3] = heading(pose_time)
@@ -129,8 +133,9 @@ def _integrated(
     gust_time: Array,
     gust: Array,
     heading: Callable[[Array], Array],
+    in_space: bool,
 ) -> Array:
-    """World positions at the poses, (N, K)."""
+    """World positions at the poses, (N, K); `in_space` is whether q of x and y keeps its direction when they turn."""
     K = command.shape[1]
 
     def slope(t: float, v: Any, q: Any, u: Any, w: Any) -> tuple[Any, Any]:
@@ -138,8 +143,9 @@ def _integrated(
             return law(v, q, u, w)
         c, s = np.cos(heading(t)), np.sin(heading(t))
         R = np.array([[c, -s], [s, c]])
-        dv, dq = law(R.T @ v, q, u, R.T @ w)
-        return R @ dv, dq
+        frame = R if in_space else np.eye(2)
+        dv, dq = law(R.T @ v, frame.T @ q, u, R.T @ w)
+        return R @ dv, frame @ dq
 
     # One axis in plain numbers: ten times as fast as arrays of one.
     of_axes = (lambda values: values) if K > 1 else (lambda values: values[:, 0].tolist())

@@ -103,8 +103,8 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
 
 
 def _by_size(axis: Axis) -> bool:
-    """Whether small and large commands give different coefficients."""
-    return any(one.test == "size" for one in axis.evidence)
+    """Whether small and large commands give different coefficients, or large ones meet a bound."""
+    return any(one.test in ("size", "bound") for one in axis.evidence)
 
 
 def with_size(axis: Axis, remedy: str) -> str:

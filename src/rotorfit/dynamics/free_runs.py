@@ -13,7 +13,7 @@ from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import CROSS_DAMPING, DAMPING, DELAY, KICKS, LAG, ORDER, SHARE, SPEED, ZERO
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import longest_step
-from rotorfit.dynamics.general_step import demand, lag_series, linear_step
+from rotorfit.dynamics.general_step import demand, lag_series, lags_in_space, linear_step
 
 RUNS = 32
 """Width of a slot, and largest number of runs side by side."""
@@ -22,7 +22,7 @@ _VECTOR = 4
 """Runs are stepped in multiples of this: those before and after the active ones are computed in vain."""
 
 _PX, _PY, _VX, _VY, _QX, _QY, _TX, _TY = (RUNS * i for i in range(8))
-# Position and velocity (world), lagged demand or acceleration, trim (heading frame).
+# Position and velocity (world), lagged demand (see `lags_in_space`) or acceleration, trim (heading frame).
 
 _YAW, _TURN, _C, _S, _HALF_C, _HALF_S = (RUNS * i for i in range(8, 14))
 # Heading before a step, its change, cosine and sine of the heading, and of half the change.
@@ -30,7 +30,8 @@ _YAW, _TURN, _C, _S, _HALF_C, _HALF_S = (RUNS * i for i in range(8, 14))
 _OUT = RUNS * 14
 
 STATE = 8
-"""Numbers of a run: world position and velocity of both axes, lagged demand or acceleration, trim (heading frame)."""
+"""Numbers of a run: world position and velocity of both axes, lagged demand (see `lags_in_space`) or acceleration, trim
+(heading frame)."""
 
 _TWO_OVER_PI = 2.0 / np.pi
 
@@ -191,6 +192,7 @@ def _advance(
     """Propagates the runs from t to t_end through every switch in between; see `general_response.advance`."""
     begin, span = t, max(t_end - t, 1e-12)
     kicked = law[0, KICKS] + law[1, KICKS] > 0
+    spin = 1.0 if lags_in_space(law) else 0.0
     while t < t_end:
         t_next, switch = t_end, 2
         for a in range(2):
@@ -206,7 +208,7 @@ def _advance(
             for _ in range(pieces):
                 if kicked:
                     _kick(law, w, 0.5 * dt, one, past)
-                _move(w, S, demanded[0], demanded[1], one, past)
+                _move(w, S, demanded[0], demanded[1], spin, one, past)
                 if kicked:
                     _kick(law, w, 0.5 * dt, one, past)
             t = t_next
@@ -214,16 +216,29 @@ def _advance(
             x, y = demanded[0], demanded[1]
             k[switch] += 1
             _demands(law, command, k, demanded)
-            x = law[0, ZERO] / law[0, LAG] * (demanded[0] - x) if law[0, ORDER] == 2 else 0.0
-            y = law[1, ZERO] / law[1, LAG] * (demanded[1] - y) if law[1, ORDER] == 2 else 0.0
+            x, y = _jump(law, 0, demanded[0] - x, spin), _jump(law, 1, demanded[1] - y, spin)
+            if spin and turns and (x != 0.0 or y != 0.0):
+                _headings_between(w, (t - begin) / span, one, past)
             for j in range(max(one, 0), past):
-                w[_QX + j] += x
-                w[_QY + j] += y
+                qc, qs = 1.0 + spin * (w[_C + j] - 1.0), spin * w[_S + j]
+                w[_QX + j] += qc * x - qs * y
+                w[_QY + j] += qs * x + qc * y
+
+
+@inner()
+def _jump(law: Array, a: int, change: float, spin: float) -> float:
+    """By how much the lagged demand of an axis, or its acceleration, jumps with the demand."""
+    if law[a, ORDER] == 2:
+        return law[a, ZERO] / law[a, LAG] * change  # type: ignore[no-any-return]
+    return change * spin if law[a, ORDER] == 0 else 0.0
 
 
 @inner(fastmath={"contract"})
-def _move(w: Array, S: Array, wx: float, wy: float, one: int, past: int) -> None:
-    """The linear step `S` (2, 3, 12) of all runs under the demands wx and wy; see `general_step.linear_step`."""
+def _move(w: Array, S: Array, wx: float, wy: float, spin: float, one: int, past: int) -> None:
+    """The linear step `S` (2, 3, 12) of all runs under the demands wx and wy; see `general_step.linear_step`.
+
+    `spin` is 1 where the lagged demand is in the world frame, else 0.
+    """
     xpv, xpq, xpc, xvv, xvq, xvc = S[0, 0, 0], S[0, 0, 1], S[0, 0, 3], S[0, 0, 4], S[0, 0, 5], S[0, 0, 7]
     xqv, xqq, xqc = S[0, 0, 8], S[0, 0, 9], S[0, 0, 11]
     xpw, xvw, xqw = S[0, 0, 2] * wx, S[0, 0, 6] * wx, S[0, 0, 10] * wx
@@ -233,9 +248,12 @@ def _move(w: Array, S: Array, wx: float, wy: float, one: int, past: int) -> None
     for j in range(max(one, 0), past):
         vx, vy, qx, qy, tx, ty = w[_VX + j], w[_VY + j], w[_QX + j], w[_QY + j], w[_TX + j], w[_TY + j]
         c, s = w[_C + j], w[_S + j]
+        qc, qs = 1.0 + spin * (c - 1.0), spin * s
         vx, vy = c * vx + s * vy, c * vy - s * vx
+        qx, qy = qc * qx + qs * qy, qc * qy - qs * qx
         px, py = xpv * vx + xpq * qx + xpw + xpc * tx, ypv * vy + ypq * qy + ypw + ypc * ty
-        w[_QX + j], w[_QY + j] = xqv * vx + xqq * qx + xqw + xqc * tx, yqv * vy + yqq * qy + yqw + yqc * ty
+        lx, ly = xqv * vx + xqq * qx + xqw + xqc * tx, yqv * vy + yqq * qy + yqw + yqc * ty
+        w[_QX + j], w[_QY + j] = qc * lx - qs * ly, qs * lx + qc * ly
         vx, vy = xvv * vx + xvq * qx + xvw + xvc * tx, yvv * vy + yvq * qy + yvw + yvc * ty
         w[_PX + j] += c * px - s * py
         w[_PY + j] += s * px + c * py

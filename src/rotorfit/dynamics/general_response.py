@@ -25,6 +25,7 @@ from rotorfit.dynamics.general_step import (
     demand,
     demand_slope,
     lag_series,
+    lags_in_space,
     linear_step,
     move,
 )
@@ -56,24 +57,45 @@ def demands(law: Array, what: Any, whose: Any, u: Array, z: Array) -> None:
 
 
 @inner()
-def _led(law: Array, z: Array, C: int, sign: float) -> None:
-    """Adds sign times Z / T times the demand to the acceleration of a second order: -1 before, +1 after a switch."""
+def _into_lag(law: Array, z: Array, a: int, j: int, change: float, psi: float) -> None:
+    """Adds to the lagged demand of axis a in column j."""
+    if lags_in_space(law):
+        z[Q + j] += change * (np.cos(psi) if a == 0 else -np.sin(psi))
+        z[Q + COLUMNS + j] += change * (np.sin(psi) if a == 0 else np.cos(psi))
+    else:
+        z[Q + COLUMNS * a + j] += change
+
+
+@inner()
+def _led(law: Array, z: Array, C: int, sign: float, psi: float) -> None:
+    """Takes what jumps with the demand out of the lagged demands before a switch (sign -1); puts it in after it (1).
+
+    It is Z / T times the demand in the acceleration of a second order, and the demand of an axis without a lag.
+    """
     for a in range(law.shape[0]):
         if law[a, ORDER] == 2 and law[a, ZERO] != 0.0:
             lead = sign * law[a, ZERO] / law[a, LAG]
             for j in range(C):
                 z[Q + COLUMNS * a + j] += lead * z[W + COLUMNS * a + j]
+        elif law[a, ORDER] == 0 and lags_in_space(law):
+            for j in range(C):
+                _into_lag(law, z, a, j, sign * z[W + COLUMNS * a + j], psi)
 
 
 @inner()
-def _switch(law: Array, what: Any, whose: Any, z: Array, u: Array, at: int, new: float, psi: float) -> None:
-    """Switches the delayed command of axis `at` to `new` and applies the impulse to the derivative by its delay."""
+def _switch(
+    law: Array, what: Any, whose: Any, z: Array, u: Array, at: int, new: float, psi: float, turn: float
+) -> None:
+    """Switches the delayed command of axis `at` to `new` and applies the impulse to the derivative by its delay.
+
+    Where the lagged demand jumps, its direction turns with the time of the switch.
+    """
     K, C = law.shape[0], what.size
     before0, before1 = z[W], z[W + COLUMNS * (K - 1)]
-    _led(law, z, C, -1.0)
+    _led(law, z, C, -1.0, psi)
     u[at] = new
     demands(law, what, whose, u, z)
-    _led(law, z, C, 1.0)
+    _led(law, z, C, 1.0, psi)
     for j in range(1, C):
         a = whose[j]
         if what[j] >= 0 and law[a, ORDER] == 2 and (what[j] == LAG or what[j] == ZERO):
@@ -85,8 +107,10 @@ def _switch(law: Array, what: Any, whose: Any, z: Array, u: Array, at: int, new:
             impulse = (before0 if a == 0 else before1) - z[W + COLUMNS * a]
             if law[a, ORDER] > 0:
                 lead = law[a, ZERO] / law[a, LAG]
-                z[Q + COLUMNS * a + j] += (1.0 - lead) * impulse / law[a, LAG]
+                _into_lag(law, z, a, j, (1.0 - lead) * impulse / law[a, LAG], psi)
                 impulse *= lead
+            elif lags_in_space(law):
+                _into_lag(law, z, a, j, -impulse * turn, psi + 0.5 * np.pi)
             if K == 1:
                 z[V + j] += impulse
             elif a == 0:
@@ -108,6 +132,9 @@ def settle(law: Array, z: Array, C: int, yaw: float) -> None:
             z[Q + at] = z[W + at]
             if law[a, ORDER] == 2:
                 z[Q + at] += z[T + at] - law[a, DAMPING] * (c * x + s * y if a == 0 else c * y - s * x)
+        if lags_in_space(law):
+            x, y = z[Q + j], z[Q + COLUMNS + j]
+            z[Q + j], z[Q + COLUMNS + j] = c * x - s * y, s * x + c * y
 
 
 @inner()
@@ -172,7 +199,8 @@ def advance(
             t = t_next
         if switch < K:
             psi = yaw + (yaw_end - yaw) * (t - begin) / span
-            _switch(law, what, whose, z, u, switch, command[k[switch] + 1, switch], psi)
+            turn = (yaw_end - yaw) / span
+            _switch(law, what, whose, z, u, switch, command[k[switch] + 1, switch], psi, turn)
             k[switch] += 1
 
 
@@ -252,6 +280,8 @@ def _motion_response(
             z[Q + n] = z[W + n]
         i0 = pose_range[s, 0]
         heading = yaw[i0]
+        if K == 2:
+            settle(law, z, C, heading)
         if lagged:
             advance(
                 t, starts[s], heading, heading, k, last, command_time, command, law, series, longest, what, whose, z,

@@ -40,8 +40,8 @@ COLUMNS = 32
 
 P, V, Q, W, T = 0, 2 * COLUMNS, 4 * COLUMNS, 6 * COLUMNS, 8 * COLUMNS
 """Offsets of the columns in an array of `STATE` numbers, for axis 0 and then axis 1: world position, world velocity,
-lagged demand (second order: acceleration) in the heading frame, demand, trim. A single array with constant offsets
-shows the compiler that nothing overlaps, so that it vectorises over four columns."""
+lagged demand (of x and y in the world frame, see `lags_in_space`; second order: acceleration), demand, trim. A single
+array with constant offsets shows the compiler that nothing overlaps, so that it vectorises over four columns."""
 
 STATE = 10 * COLUMNS
 
@@ -135,6 +135,16 @@ def _lag_rates(law: Array, a: int) -> Any:
 
 
 @inner()
+def lags_in_space(law: Array) -> bool:
+    """Whether the lagged demand of x and y keeps its direction in space when the vehicle turns.
+
+    A lag of the tilt does: turning about the thrust does not change its direction. The acceleration of a second order
+    turns with the heading.
+    """
+    return law.shape[0] == 2 and max(law[0, ORDER], law[1, ORDER]) == 1
+
+
+@inner()
 def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     """Fills the linear step of axis a and its derivatives by the linear damping and by the rate of the lag.
 
@@ -150,6 +160,7 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
         S[a, 0, 0], S[a, 0, 2], S[a, 0, 3], S[a, 0, 4], S[a, 0, 6], S[a, 0, 7] = k, h, h, f, k, k
         S[a, 1, 0], S[a, 1, 2], S[a, 1, 3], S[a, 1, 4], S[a, 1, 6], S[a, 1, 7] = dk, dh, dh, df, dk, dk
     if order == 0:
+        S[a, 0, 10] = 1.0  # without a lag the lagged demand is the demand
         return
     rate = 1.0 / law[a, LAG]
     A, B = _lag_rates(law, a)
@@ -246,8 +257,8 @@ def _move_line(z: Array, S: Array, C: int) -> None:
 
 
 @inner(fastmath={"contract"})
-def _move_plane(z: Array, S: Array, c: float, s: float, C: int) -> None:
-    """The linear step of two axes under a heading, all columns."""
+def _move_plane(z: Array, S: Array, c: float, s: float, qc: float, qs: float, C: int) -> None:
+    """The linear step of two axes under a heading, all columns; qc and qs turn the lagged demands into its frame."""
     xpv, xpq, xpw, xpc = S[0, 0, 0], S[0, 0, 1], S[0, 0, 2], S[0, 0, 3]
     xvv, xvq, xvw, xvc = S[0, 0, 4], S[0, 0, 5], S[0, 0, 6], S[0, 0, 7]
     xqv, xqq, xqw, xqc = S[0, 0, 8], S[0, 0, 9], S[0, 0, 10], S[0, 0, 11]
@@ -258,10 +269,12 @@ def _move_plane(z: Array, S: Array, c: float, s: float, C: int) -> None:
         vx, vy, qx, qy = z[V + j], z[V + COLUMNS + j], z[Q + j], z[Q + COLUMNS + j]
         wx, wy, tx, ty = z[W + j], z[W + COLUMNS + j], z[T + j], z[T + COLUMNS + j]
         vx, vy = c * vx + s * vy, c * vy - s * vx
+        qx, qy = qc * qx + qs * qy, qc * qy - qs * qx
         px = xpv * vx + xpq * qx + xpw * wx + xpc * tx
         py = ypv * vy + ypq * qy + ypw * wy + ypc * ty
-        z[Q + j] = xqv * vx + xqq * qx + xqw * wx + xqc * tx
-        z[Q + COLUMNS + j] = yqv * vy + yqq * qy + yqw * wy + yqc * ty
+        lx = xqv * vx + xqq * qx + xqw * wx + xqc * tx
+        ly = yqv * vy + yqq * qy + yqw * wy + yqc * ty
+        z[Q + j], z[Q + COLUMNS + j] = qc * lx - qs * ly, qs * lx + qc * ly
         vx = xvv * vx + xvq * qx + xvw * wx + xvc * tx
         vy = yvv * vy + yvq * qy + yvw * wy + yvc * ty
         z[P + j] += c * px - s * py
@@ -279,10 +292,12 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
     if K == 2:
         v0, v1 = c * v0 + s * v1, c * v1 - s * v0
     q0, w0, t0, q1, w1, t1 = z[Q], z[W], z[T], z[Q + COLUMNS], z[W + COLUMNS], z[T + COLUMNS]
+    qc, qs = (c, s) if lags_in_space(law) else (1.0, 0.0)
     if K == 1:
         _move_line(z, S, C)
     else:
-        _move_plane(z, S, c, s, C)
+        q0, q1 = qc * q0 + qs * q1, qc * q1 - qs * q0
+        _move_plane(z, S, c, s, qc, qs, C)
     for j in range(1, C):
         if not (what[j] == DAMPING or what[j] == SHARE or what[j] == LAG):
             continue
@@ -295,7 +310,10 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
         v, q, w, t = (v0, q0, w0, t0) if a == 0 else (v1, q1, w1, t1)
         p = scale * (S[a, d, 0] * v + S[a, d, 1] * q + S[a, d, 2] * w + S[a, d, 3] * t)
         along = scale * (S[a, d, 4] * v + S[a, d, 5] * q + S[a, d, 6] * w + S[a, d, 7] * t)
-        z[Q + COLUMNS * a + j] += scale * (S[a, d, 8] * v + S[a, d, 9] * q + S[a, d, 10] * w + S[a, d, 11] * t)
+        lagged = scale * (S[a, d, 8] * v + S[a, d, 9] * q + S[a, d, 10] * w + S[a, d, 11] * t)
+        z[Q + j] += lagged * (qc if a == 0 else -qs)
+        if K == 2:
+            z[Q + COLUMNS + j] += lagged * (qs if a == 0 else qc)
         x, y = (c, s) if a == 0 else (-s, c)
         z[P + j] += x * p
         z[V + j] += x * along

@@ -24,9 +24,10 @@ _SLOT = 8
 _G, _TAU, _C, _V = range(0, _SLOT, 2)
 """Columns of x that step alike: derivatives by input, delay, trim and start velocity; each is followed by that of y."""
 
-_P, _S, _Q, _W = range(0, 8 * _SLOT, 2 * _SLOT)
-"""Their variables, of x and then of y: world position and velocity; along the heading, what the lag still has to
-deliver, and what acts beyond it."""
+_P, _S, _Q, _D, _T = range(0, 10 * _SLOT, 2 * _SLOT)
+"""Their variables, of x and then of y: world position, velocity and lagged demand; along the heading, demand and trim.
+
+The lagged demand is in the world frame, see `general_step.lags_in_space`. Without a lag it is the demand."""
 
 _REST = (0.0, 0.0, 0.0, 0.0)
 """A column that the motion drives, the derivative by a damping or by a lag, at its start: world position and velocity,
@@ -71,7 +72,7 @@ def horizontal_response(
     out: Array = np.zeros((weight.size, 2, 13))
     _horizontal_response(
         starts, pose_range, command_range, pose_time, block, command_time, np.ascontiguousarray(command), weight,
-        np.ascontiguousarray(yaw), law, np.ascontiguousarray(velocity), lag_series(law), np.zeros(8 * _SLOT),
+        np.ascontiguousarray(yaw), law, np.ascontiguousarray(velocity), lag_series(law), np.zeros(10 * _SLOT),
         np.zeros(2, np.int64), _SLOT, out,
     )  # fmt: skip
     return out.transpose(0, 2, 1)
@@ -140,7 +141,7 @@ def _horizontal_response(
     longest = longest_step(law)
     lagged = law[0, ORDER] + law[1, ORDER] > 0
     for s in range(starts.size):
-        for n in range(8 * _SLOT):
+        for n in range(10 * _SLOT):
             z[n] = 0.0
         i, end, last = pose_range[s, 0], pose_range[s, 1], command_range[s, 1]
         t = starts[s] - WARM_UP if lagged else starts[s]
@@ -148,9 +149,13 @@ def _horizontal_response(
             k[a] = command_range[s, 0]
             while k[a] + 1 < last and command_time[k[a] + 1] + law[a, DELAY] <= t:
                 k[a] += 1
-            z[_W + _SLOT * a + _G + a] = command[k[a], a]
-        b0 = b1 = l0 = l1 = _REST  # derivatives by the dampings and by the lags; what the lags still owe to the latter
-        left0 = left1 = 0.0
+            z[_D + _SLOT * a + _G + a] = command[k[a], a]
+        c, sn = np.cos(yaw[i]), np.sin(yaw[i])
+        for a in range(2):
+            x, y = z[_D + _G + a], z[_D + _SLOT + _G + a]
+            z[_Q + _G + a], z[_Q + _SLOT + _G + a] = c * x - sn * y, sn * x + c * y
+        b0 = b1 = l0 = l1 = _REST  # derivatives by the dampings and by the lags
+        left0 = left1 = 0.0, 0.0  # and of the lagged demand by the lags
         heading, warming = yaw[i], True
         while i < end:
             stop = starts[s] if warming else pose_time[i]
@@ -171,29 +176,47 @@ def _horizontal_response(
                         f1, k1, h1, df1, dk1, dh1 = transition(law[1, DAMPING], dt)
                         G0, J0, GA0, JA0, JB0, fade0 = _lag_step(law, series, 0, dt)
                         G1, J1, GA1, JA1, JB1, fade1 = _lag_step(law, series, 1, dt)
-                        pb, vb, pl, vl, left0 = _forced(
-                            law, 0, z, c * x + sn * y, dt, df0, dk0, dh0, G0, J0, GA0, JA0, JB0, fade0, left0
-                        )
+                        r0, r1 = _behind(law, z, c, sn)
+                        pb, vb = _slowed(law, 0, z, c * x + sn * y, df0, dk0, dh0, GA0, JA0, JB0, r0)
                         b0 = _carried(b0, c, sn, k0, f0, k1, f1, pb, vb, 0.0, 0.0)
-                        l0 = _carried(l0, c, sn, k0, f0, k1, f1, pl, vl, 0.0, 0.0)
-                        pb, vb, pl, vl, left1 = _forced(
-                            law, 1, z, c * y - sn * x, dt, df1, dk1, dh1, G1, J1, GA1, JA1, JB1, fade1, left1
-                        )
+                        pb, vb = _slowed(law, 1, z, c * y - sn * x, df1, dk1, dh1, GA1, JA1, JB1, r1)
                         b1 = _carried(b1, c, sn, k0, f0, k1, f1, 0.0, 0.0, pb, vb)
-                        l1 = _carried(l1, c, sn, k0, f0, k1, f1, 0.0, 0.0, pl, vl)
+                        if lagged:
+                            q0, q1 = c * left0[0] + sn * left0[1], c * left0[1] - sn * left0[0]
+                            pl, vl, q0 = _late(law, 0, q0, r0, dt, G0, J0, GA0, JA0, JB0, fade0)
+                            l0 = _carried(l0, c, sn, k0, f0, k1, f1, pl, vl, J1 * q1, G1 * q1)
+                            q1 *= fade1
+                            left0 = c * q0 - sn * q1, sn * q0 + c * q1
+                            q0, q1 = c * left1[0] + sn * left1[1], c * left1[1] - sn * left1[0]
+                            pl, vl, q1 = _late(law, 1, q1, r1, dt, G1, J1, GA1, JA1, JB1, fade1)
+                            l1 = _carried(l1, c, sn, k0, f0, k1, f1, J0 * q0, G0 * q0, pl, vl)
+                            q0 *= fade0
+                            left1 = c * q0 - sn * q1, sn * q0 + c * q1
+                            for j in range(width):
+                                vx, vy = _turned(z, _S + j, c, sn)
+                                qx, qy = _turned(z, _Q + j, c, sn)
+                                dx, dy = z[_D + j], z[_D + _SLOT + j]
+                                qx, qy = qx - dx, qy - dy
+                                wx, wy = dx + z[_T + j], dy + z[_T + _SLOT + j]
+                                px, py = k0 * vx + J0 * qx + h0 * wx, k1 * vy + J1 * qy + h1 * wy
+                                vx, vy = f0 * vx + G0 * qx + k0 * wx, f1 * vy + G1 * qy + k1 * wy
+                                qx, qy = dx + fade0 * qx, dy + fade1 * qy
+                                z[_P + j] += c * px - sn * py
+                                z[_P + _SLOT + j] += sn * px + c * py
+                                z[_S + j], z[_S + _SLOT + j] = c * vx - sn * vy, sn * vx + c * vy
+                                z[_Q + j], z[_Q + _SLOT + j] = c * qx - sn * qy, sn * qx + c * qy
+                            continue
                         for j in range(width):
-                            vx = c * z[_S + j] + sn * z[_S + _SLOT + j]
-                            vy = c * z[_S + _SLOT + j] - sn * z[_S + j]
-                            qx, qy, wx, wy = z[_Q + j], z[_Q + _SLOT + j], z[_W + j], z[_W + _SLOT + j]
-                            px, py = k0 * vx + J0 * qx + h0 * wx, k1 * vy + J1 * qy + h1 * wy
-                            vx, vy = f0 * vx + G0 * qx + k0 * wx, f1 * vy + G1 * qy + k1 * wy
+                            vx, vy = _turned(z, _S + j, c, sn)
+                            wx, wy = z[_D + j] + z[_T + j], z[_D + _SLOT + j] + z[_T + _SLOT + j]
+                            px, py = k0 * vx + h0 * wx, k1 * vy + h1 * wy
+                            vx, vy = f0 * vx + k0 * wx, f1 * vy + k1 * wy
                             z[_P + j] += c * px - sn * py
                             z[_P + _SLOT + j] += sn * px + c * py
                             z[_S + j], z[_S + _SLOT + j] = c * vx - sn * vy, sn * vx + c * vy
-                            z[_Q + j], z[_Q + _SLOT + j] = fade0 * qx, fade1 * qy
                     t = t_next
                 if switch < 2:
-                    _switch(law, switch, command[k[switch] + 1, switch], yaw[i] + turn * (t - stop), z)
+                    _switch(law, switch, command[k[switch] + 1, switch], yaw[i] + turn * (t - stop), turn, z)
                     k[switch] += 1
             if warming:  # position, velocity and trim count from here on
                 warming = False
@@ -201,14 +224,15 @@ def _horizontal_response(
                     z[_P + n] = z[_S + n] = 0.0
                 b0 = b1 = l0 = l1 = _REST
                 for a in range(2):
-                    z[_S + _SLOT * a + _V + a] = z[_W + _SLOT * a + _C + a] = 1.0
+                    z[_S + _SLOT * a + _V + a] = z[_T + _SLOT * a + _C + a] = 1.0
                 continue
             heading = yaw[i]
             if i % VANISH_EVERY == 0:
-                for n in range(_S, 8 * _SLOT):
+                for n in range(_S, 10 * _SLOT):
                     z[n] = vanished(z[n])
                 b0, b1, l0, l1 = _settled(b0), _settled(b1), _settled(l0), _settled(l1)
-                left0, left1 = vanished(left0), vanished(left1)
+                left0 = vanished(left0[0]), vanished(left0[1])
+                left1 = vanished(left1[0]), vanished(left1[1])
             b, w = block[i], weight[block[i]]
             for a in range(2):
                 at = _P + _SLOT * a
@@ -240,18 +264,40 @@ def _settled(column: Any) -> Any:
 
 
 @inner(inline="always", fastmath={"contract"})
-def _switch(law: Array, a: int, new: float, yaw: float, z: Array) -> None:
-    """Switches the command of axis a: an impulse into the derivative by the delay, or into its lagged demand."""
-    at = _SLOT * a
-    change = z[_W + at + _G + a] - new
+def _switch(law: Array, a: int, new: float, yaw: float, turn: float, z: Array) -> None:
+    """Switches the command of axis a: an impulse into the derivative by the delay, or into its lagged demand.
+
+    Without a lag the lagged demand jumps, in a direction that turns with the time of the switch.
+    """
+    own = (_SLOT + 1) * a
+    x, y = (np.cos(yaw), np.sin(yaw)) if a == 0 else (-np.sin(yaw), np.cos(yaw))
+    change = z[_D + _G + own] - new
     if law[a, ORDER] == 1:
-        z[_Q + at + _G + a] += change
-        z[_Q + at + _TAU + a] += law[a, GAIN] * change / law[a, LAG]
+        at, by_delay = _Q, law[a, GAIN] * change / law[a, LAG]
     else:
-        x, y = (np.cos(yaw), np.sin(yaw)) if a == 0 else (-np.sin(yaw), np.cos(yaw))
-        z[_S + _TAU + a] += law[a, GAIN] * change * x
-        z[_S + _SLOT + _TAU + a] += law[a, GAIN] * change * y
-    z[_W + at + _G + a] = new
+        at, by_delay = _S, law[a, GAIN] * change
+        z[_Q + _G + a] -= change * x
+        z[_Q + _SLOT + _G + a] -= change * y
+        z[_Q + _TAU + a] += by_delay * turn * y
+        z[_Q + _SLOT + _TAU + a] -= by_delay * turn * x
+    z[at + _TAU + a] += by_delay * x
+    z[at + _SLOT + _TAU + a] += by_delay * y
+    z[_D + _G + own] = new
+
+
+@inner(inline="always", fastmath={"contract"})
+def _turned(z: Array, at: int, c: float, s: float) -> Any:
+    """A world vector of a column, along the heading and across it."""
+    return c * z[at] + s * z[at + _SLOT], c * z[at + _SLOT] - s * z[at]
+
+
+@inner(inline="always", fastmath={"contract"})
+def _behind(law: Array, z: Array, c: float, s: float) -> Any:
+    """By how much the lagged demand of both axes exceeds the demand."""
+    x, y = law[0, GAIN] * z[_Q + _G], law[0, GAIN] * z[_Q + _SLOT + _G]
+    x, y = x + law[1, GAIN] * z[_Q + _G + 1], y + law[1, GAIN] * z[_Q + _SLOT + _G + 1]
+    demand_x, demand_y = law[0, GAIN] * z[_D + _G], law[1, GAIN] * z[_D + _SLOT + _G + 1]
+    return c * x + s * y - demand_x, c * y - s * x - demand_y
 
 
 @inner(inline="always", fastmath={"contract"})
@@ -265,45 +311,60 @@ def _lag_step(law: Array, series: Array, a: int, dt: float) -> Any:
 
 
 @inner(inline="always", fastmath={"contract"})
-def _forced(
-    law: Array, a: int, z: Array, v: float, dt: float, df: float, dk: float, dh: float, G: float, J: float, GA: float,
-    JA: float, JB: float, fade: float, left: float,
+def _slowed(
+    law: Array, a: int, z: Array, v: float, df: float, dk: float, dh: float, GA: float, JA: float, JB: float,
+    behind: float,
 ) -> Any:  # fmt: skip
-    """What a step adds to position and velocity, along axis a, of its derivatives by damping and by lag.
+    """What a step adds to position and velocity, along axis a, of its derivatives by damping.
 
     Args:
         law: Shape (2, LAW_SIZE).
         a: Index of the axis.
         z: The columns that step alike.
         v: Velocity along the axis.
-        dt: The step.
         df: From `transition`, like dk and dh.
         dk: Likewise.
         dh: Likewise.
+        GA: From `_lag_step`, like JA and JB.
+        JA: Likewise.
+        JB: Likewise.
+        behind: From `_behind`.
+    """
+    own = (_SLOT + 1) * a
+    drive = law[a, GAIN] * z[_D + own + _G] + law[a, TRIM] * z[_T + own + _C]
+    if law[a, ORDER] == 0:
+        return dk * v + dh * drive, df * v + dk * drive
+    rate = 1.0 / law[a, LAG]
+    return dk * v + dh * drive + (JA + rate * JB) * behind, df * v + dk * drive + (GA + rate * JA) * behind
+
+
+@inner(inline="always", fastmath={"contract"})
+def _late(
+    law: Array, a: int, left: float, behind: float, dt: float, G: float, J: float, GA: float, JA: float, JB: float,
+    fade: float,
+) -> Any:  # fmt: skip
+    """What a step adds to position and velocity, along axis a, of its derivatives by the axis's lag.
+
+    Args:
+        law: Shape (2, LAW_SIZE).
+        a: Index of the axis.
+        left: Derivative of its lagged demand.
+        behind: From `_behind`.
+        dt: The step.
         G: From `_lag_step`, like J, GA, JA, JB and fade.
         J: Likewise.
         GA: Likewise.
         JA: Likewise.
         JB: Likewise.
         fade: Likewise.
-        left: What the lag still has to deliver to the derivative by itself.
 
     Returns:
-        Position and velocity by the damping, the same by the lag, and `left` after the step.
+        Position and velocity, and `left` after the step.
     """
-    own, damping = (_SLOT + 1) * a, law[a, DAMPING]
-    drive = law[a, GAIN] * z[_W + own] + law[a, TRIM] * z[_W + own + _C]
     if law[a, ORDER] == 0:
-        return dk * v + dh * drive, df * v + dk * drive, 0.0, 0.0, 0.0
-    rate, behind = 1.0 / law[a, LAG], law[a, GAIN] * z[_Q + own]
-    change = -rate * rate * behind
-    return (
-        dk * v + dh * drive + (JA + rate * JB) * behind,
-        df * v + dk * drive + (GA + rate * JA) * behind,
-        J * left + change * (JA + damping * JB),
-        G * left + change * (GA + damping * JA),
-        fade * (left - change * dt),
-    )
+        return 0.0, 0.0, 0.0
+    damping, change = law[a, DAMPING], -(law[a, LAG] ** -2.0) * behind
+    return J * left + change * (JA + damping * JB), G * left + change * (GA + damping * JA), fade * (left - change * dt)
 
 
 @inner(inline="always", fastmath={"contract"})

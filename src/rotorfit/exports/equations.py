@@ -95,8 +95,18 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
     if structure.order == 2:
         return Equation(axis, demand, q, f"({w} + {trim} - {damping} - {q}) / {c('lag')}", f"{w} - {damping}")
     if structure.order == 1:
-        return Equation(axis, demand, f"{q} - {damping} + {trim}", f"({w} - {q}) / {c('lag')}", w)
+        lagged = f"({w} - {q}) / {c('lag')}" + _turning(subject, axis)
+        return Equation(axis, demand, f"{q} - {damping} + {trim}", lagged, w)
     return Equation(axis, demand, f"{w} - {damping} + {trim}")
+
+
+def _turning(subject: Subject, axis: str) -> str:
+    """What a turn adds to q' of x and y, which keep their direction in space; see `general_step.lags_in_space`."""
+    other = {"x": "y", "y": "x"}.get(axis)
+    if other not in subject.axes:
+        return ""
+    order = subject.structure(other).order
+    return "" if order > 1 else f" {'+' if axis == 'x' else '-'} {SPEEDS['yaw']} * {'q' if order else 'w'}_{other}"
 
 
 def _answered(axis: str, names: set[str], c: Callable[[str], str], language: Language) -> str:

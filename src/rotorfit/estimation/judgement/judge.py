@@ -18,6 +18,7 @@ import numpy as np
 
 from rotorfit.core.laws import Extra, structure_named
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Evidence, Interval, Model, Spread
+from rotorfit.estimation.judgement.acceleration_bound import bound_of
 from rotorfit.estimation.judgement.cross_check import with_instruments
 from rotorfit.estimation.judgement.each_flight import each_flight
 from rotorfit.estimation.judgement.random_effects import RandomEffects, random_effects
@@ -107,7 +108,8 @@ def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[di
     against = None
     if tested:
         method = with_instruments(estimate, weighted, wanted, errors)
-        against = doubt(estimate.records, weighted, estimate.place, errors, wider, method, estimate.loop.closed)
+        bound = bound_of(estimate, weighted, errors)
+        against = doubt(estimate.records, weighted, estimate.place, errors, wider, method, estimate.loop.closed, bound)
     alone = _each(estimate, list(wanted)) if len(estimate.records) > 1 else {}
     out = {}
     for part, one in wanted.items():

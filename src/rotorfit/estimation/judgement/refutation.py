@@ -10,6 +10,8 @@ parts selected by what was flown show it:
 - size: small or large commands in the last second; limits of acceleration, braking, dead zones;
 - speed: slow or fast changes of the command; dynamics that the law lacks.
 
+A bound on the acceleration has a test of its own (`acceleration_bound`).
+
 Since parts are selected by what preceded an innovation, they are independent in a feedback loop, too. Parts of several
 flights are compared within each flight only: by how much flights differ is another question (`random_effects`).
 
@@ -26,8 +28,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.core.frames import Array, Indices, Mask
+from rotorfit.core.frames import POSE_UNITS, Array, Indices, Mask
 from rotorfit.core.model import Evidence
+from rotorfit.estimation.judgement.acceleration_bound import Bound
 from rotorfit.estimation.judgement.random_effects import excess_spread
 from rotorfit.estimation.judgement.residual_variance import Ratio, Weighted, orthonormal
 from rotorfit.estimation.judgement.spread_prior import spread_scale
@@ -287,16 +290,12 @@ class Doubt:
     Attributes:
         factor: Factor on the standard error, by coefficient or combination, at least 1.
         evidence: Tests that contradict the law, the strongest first.
+        refuted: Coefficients and combinations whose error no widening can express.
     """
 
     factor: Mapping[str, float]
     evidence: tuple[Evidence, ...]
-
-    @property
-    def refuted(self) -> tuple[str, ...]:
-        """Coefficients and combinations whose error no widening can express."""
-        certain = any(one.refutes for one in self.evidence)
-        return tuple(name for name, factor in self.factor.items() if certain and factor > REFUTED)
+    refuted: tuple[str, ...]
 
 
 def doubt(
@@ -307,6 +306,7 @@ def doubt(
     wider: Mapping[str, float],
     method: Mapping[str, Homogeneity],
     closed: bool,
+    bound: Bound | None = None,
 ) -> Doubt:
     """All tests of the law of axis k.
 
@@ -319,6 +319,7 @@ def doubt(
         method: Agreement with another method, by name.
         closed: Whether that method stands in for the likelihood, which a feedback loop biases: then its error is not
             multiplied by the lack of fit, most of which is the loop's.
+        bound: The bound on the acceleration that the innovations speak for most.
     """
     names = list(errors)
     labels = cuts(records, weighted, k)
@@ -333,15 +334,27 @@ def doubt(
     rest = lack_of_fit(records, weighted, k)
     unfit = rest.factor if rest else 1.0
     apart = {n: max((found[n].sd for found in parts.values() if n in found), default=0.0) for n in names}
-    factor = {n: float(np.sqrt(unfit) * np.hypot(1.0, apart[n])) for n in names}
+    looped = {n: one.sd for n, one in method.items()} if closed else {}
     if closed:
         parts["method"] = dict(method)
-        factor |= {n: max(factor[n], float(np.hypot(1.0, one.sd))) for n, one in method.items()}
+
+    def widened(level: float) -> dict[str, float]:
+        """Factors with a bound on the acceleration whose p-value is below a level."""
+        taken = bound.sd if bound and bound.p_value < level else {}
+        law = {n: np.sqrt(unfit) * np.hypot(1.0, max(apart[n], taken.get(n, 0.0))) for n in names}
+        return {n: float(max(factor, np.hypot(1.0, looped.get(n, 0.0)))) for n, factor in law.items()}
+
     evidence = [_between_parts(cut, found, errors) for cut, found in parts.items() if found]
+    if bound:
+        evidence.append(_bounded(bound, records[0].axes[k], errors))
     if rest:
         evidence.append(_following(rest, errors))
     told = sorted((one for one in evidence if one.p_value < REJECTED), key=lambda one: one.p_value)
-    return Doubt(factor, tuple(replace(one, refutes=_refutes(one, factor)) for one in told))
+    factor = widened(CERTAIN)
+    told = [replace(one, refutes=_refutes(one, factor)) for one in told]
+    certain = any(one.refutes for one in told)
+    refuted = tuple(name for name in names if certain and factor[name] > REFUTED)
+    return Doubt(widened(REJECTED), tuple(told), refuted)
 
 
 def _refutes(one: Evidence, factor: Mapping[str, float]) -> bool:
@@ -371,6 +384,16 @@ def _between_parts(cut: str, found: Mapping[str, Homogeneity], errors: Mapping[s
 
 INDEPENDENT = 3
 """About how many of the quantities of an axis are independent."""
+
+
+def _bounded(bound: Bound, axis: str, errors: Mapping[str, float]) -> Evidence:
+    return Evidence(
+        "bound",
+        f"the residual is that of an acceleration of no more than about {bound.acceleration:.2g} "
+        f"{POSE_UNITS[axis]}/s^2: chi-square {bound.statistic:.0f} of 1",
+        bound.p_value,
+        {name: sd * errors[name] for name, sd in bound.sd.items() if sd > 0},
+    )
 
 
 def _following(rest: LackOfFit, errors: Mapping[str, float]) -> Evidence:

@@ -1,0 +1,45 @@
+"""Flights of a velocity-commanded vehicle whose horizontal acceleration may have a bound, by its own integration."""
+
+import math
+from functools import cache
+
+import numpy as np
+
+from flights import by_hand
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.limits import GRAVITY
+
+POINTS = {"x": (4.5, 1.5, 0.18), "y": (4.7, 1.8, 0.17)}
+"""Input, damping and delay of a vehicle that takes fractions of 3 m/s."""
+
+BOUND = GRAVITY * math.tan(math.radians(20))
+"""Acceleration at a tilt of 20 degrees [m/s^2]."""
+
+STEP = 0.01
+
+
+@cache
+def flown(size: float, bound: float = math.inf, wind: float = 0.0, duration: float = 60.0) -> Flight:
+    """Steps of x and y of so many m/s^2, by a vehicle that turns and accelerates by no more than a bound, in gusts."""
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, duration, STEP)
+    command = np.zeros((len(time), 4))
+    for k in (0, 1):
+        level = size * rng.choice([-1.0, 1.0], 200) * rng.uniform(0.4, 1.0, 200)
+        command[:, k] = level[np.searchsorted(np.cumsum(rng.uniform(0.4, 1.8, 200)), time)]
+    points = [(g, b, round(tau / STEP)) for g, b, tau in POINTS.values()]
+    damping = np.array([b for _, b, _ in points])
+    yaw = 1.5 * np.sin(0.4 * time)
+    velocity, position, gust = np.zeros((len(time), 2)), np.zeros((len(time), 2)), np.zeros(2)
+    for i in range(1, len(time)):
+        c, s = math.cos(yaw[i]), math.sin(yaw[i])
+        turn = np.array([[c, -s], [s, c]])
+        wanted = np.array([g * command[max(i - late, 0), k] for k, (g, _, late) in enumerate(points)])
+        wanted -= damping * (velocity[i - 1] @ turn)
+        wanted *= min(1.0, bound / max(float(np.hypot(*wanted)), 1e-9))
+        gust += -gust * STEP + wind * math.sqrt(2 * STEP) * rng.standard_normal(2)
+        velocity[i] = velocity[i - 1] + STEP * (turn @ wanted + gust)
+        position[i] = position[i - 1] + STEP * (velocity[i] + velocity[i - 1]) / 2
+    pose = np.column_stack([position, np.zeros(len(time)), yaw])[::3]
+    pose[:, :2] += 0.002 * rng.standard_normal((len(pose), 2))
+    return by_hand(time[::3], pose, time, command)
