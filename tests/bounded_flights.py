@@ -34,7 +34,7 @@ def flown(size: float, bound: float = math.inf, wind: float = 0.0, duration: flo
     for i in range(1, len(time)):
         c, s = math.cos(yaw[i]), math.sin(yaw[i])
         turn = np.array([[c, -s], [s, c]])
-        wanted = np.array([g * command[max(i - late, 0), k] for k, (g, _, late) in enumerate(points)])
+        wanted = np.array([g * command[max(i - 1 - late, 0), k] for k, (g, _, late) in enumerate(points)])
         wanted -= damping * (velocity[i - 1] @ turn)
         wanted *= min(1.0, bound / max(float(np.hypot(*wanted)), 1e-9))
         gust += -gust * STEP + wind * math.sqrt(2 * STEP) * rng.standard_normal(2)
