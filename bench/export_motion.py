@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.laws import ORDER, law_of, structure_named
+from rotorfit.core.laws import ORDER, WORLD, law_of, structure_named
 from rotorfit.core.model import Model, Predictor
 from rotorfit.dynamics.trajectory import simulate
 
@@ -118,7 +118,7 @@ def _rate(law: dict[str, Array], state: Array, u: Array) -> Array:
         else:
             a[k] = w[k] - drag - cross * (v[1 - k] if k < 2 else 0.0)
     orders = [law[axis][ORDER] for axis in AXES[:2]]
-    if max(orders) == 1:  # the lagged demand keeps its direction in space
+    if any(law[axis][WORLD] for axis in AXES[:2]) and max(orders) == 1:
         along = [state[8 + k] if order else w[k] for k, order in enumerate(orders)]
         dq[0] += v[3] * along[1] * (orders[0] == 1)
         dq[1] -= v[3] * along[0] * (orders[1] == 1)

@@ -28,11 +28,14 @@ def without_middle(u: Array, width: float) -> Array:
     return np.sign(u) * np.maximum(np.abs(u) - width, 0.0)
 
 
+WORLD_LAG = "first_order_delay_world_lag"
+
 LAWS: dict[str, Law] = {
     "first_order": lambda v, q, u, w: (G * u - B * v + w, 0 * q),
     "first_order_delay": lambda v, q, u, w: (G * u - B * v + w, 0 * q),
     "first_order_lag": lambda v, q, u, w: (q - B * v + w, (G * u - q) / LAG),
     "first_order_delay_lag": lambda v, q, u, w: (q - B * v + w, (G * u - q) / LAG),
+    WORLD_LAG: lambda v, q, u, w: (q - B * v + w, (G * u - q) / LAG),
     "quadratic_drag": lambda v, q, u, w: (G * u - 0.4 * v - 1.5 * np.abs(v) * v + w, 0 * q),
     "climb_descent": lambda v, q, u, w: (np.where(u > 0, 3.6, 2.4) * u - B * v + w, 0 * q),
     "saturation": lambda v, q, u, w: (G * bounded(u, 0.35) - B * v + w, 0 * q),
@@ -49,13 +52,12 @@ LAWS: dict[str, Law] = {
 }
 """As they are written on paper, with the numbers of `TRUTH`."""
 
-LAGGED_INPUT = "first_order_lag", "first_order_delay_lag"
-
 TRUTH: dict[str, dict[str, float]] = {
     "first_order": {"input": G, "damping": B},
     "first_order_delay": {"input": G, "damping": B, "delay": DELAY},
     "first_order_lag": {"input": G, "damping": B, "lag": LAG},
     "first_order_delay_lag": {"input": G, "damping": B, "delay": DELAY, "lag": LAG, "delay_plus_lag": DELAY + LAG},
+    WORLD_LAG: {"input": G, "damping": B, "delay": DELAY, "lag": LAG},
     "quadratic_drag": {"input": G, "delay": DELAY, "quadratic_drag": 1.5, "damping_at_rest": 0.4},
     "climb_descent": {"input": G, "damping": B, "delay": DELAY, "asymmetry": 0.2, "input_up": 3.6, "input_down": 2.4},
     "saturation": {"input": G, "damping": B, "delay": DELAY, "level": 0.35},
@@ -114,7 +116,7 @@ def flown_by(
         gust[i] = np.exp(-0.1) * gust[i - 1] + wind * np.sqrt(1 - np.exp(-0.2)) * rng.standard_normal(K)
     heading = lambda t: turn * np.sin(0.5 * np.asarray(t))  # noqa: E731
     position = _integrated(
-        LAWS[name], pose_time, command_time + delay_of(name), command, gust_time, gust, heading, name in LAGGED_INPUT
+        LAWS[name], pose_time, command_time + delay_of(name), command, gust_time, gust, heading, name == WORLD_LAG
     )
     pose, whole = np.zeros((pose_time.size, 4)), np.zeros((command_time.size, 4))
     column = [AXES.index(axis) for axis in axes]

@@ -8,6 +8,8 @@ One general law holds them all; along one axis of the heading frame, with the de
     T q' = w - q,   v' = q - b (1 - m + m |v| / V) v - k v' + c        first-order lag T of the attitude loop
     T v'' + v' + b v = w + Z dw/dt + c                                 second order instead
 
+In the world frame the lagged demand q of x and y keeps its direction while the vehicle turns, else it turns, too.
+
 u' and v' in the last terms of the first and second lines are those of the other horizontal axis. A structure states
 which of the further parameters are estimated; the others keep the values at which they have no effect
 (s = D = h = m = k = T = Z = 0, L infinite).
@@ -77,12 +79,13 @@ def start_levels(measured: Measured) -> Array:
 
 (
     GAIN, DAMPING, DELAY, TRIM, LAG, ASYMMETRY, LEVEL, DEAD, SHARE, SPEED, CROSS_INPUT, CROSS_DAMPING, ORDER, KICKS,
-    ZERO,
-) = range(15)  # fmt: skip
+    ZERO, WORLD,
+) = range(16)  # fmt: skip
 """Indices into the vector of the general law: g, b, tau, c, T, s, L, D, m, V, h, k; order of the lag (0 none, 1 on the
-input, 2 second order); terms in the velocity besides linear damping (1 quadratic drag, 2 the other axis); and Z."""
+input, 2 second order); terms in the velocity besides linear damping (1 quadratic drag, 2 the other axis); Z; and
+whether the lag is in the world frame."""
 
-LAW_SIZE = 15
+LAW_SIZE = 16
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,7 @@ class Structure:
         extras: Further parameters.
         delayed: Whether the delay is estimated; else it is 0.
         order: Order of the lag: 0 none, 1 on the input, 2 of the velocity itself.
+        world: Whether the lagged demand q of x and y keeps its direction in the world while the vehicle turns.
         linear: Whether the motion is linear in commands and state.
         tried: Axes for which `auto` tries the structure.
     """
@@ -138,6 +142,7 @@ class Structure:
     extras: tuple[Extra, ...] = ()
     delayed: bool = True
     order: int = 0
+    world: bool = False
     linear: bool = True
     tried: tuple[str, ...] = ("x", "y", "z", "yaw")
 
@@ -179,6 +184,14 @@ STRUCTURES: Mapping[str, Structure] = {
         FIRST_ORDER_DELAY,
         Structure("first_order_lag", "v' = q - b v + c, T q' = g u - q", (_LAG,), delayed=False, order=1),
         Structure("first_order_delay_lag", "v' = q - b v + c, T q' = g u(t - tau) - q", (_LAG,), order=1),
+        Structure(
+            "first_order_delay_world_lag",
+            "v' = q - b v + c, T q' = g u(t - tau) - q, q in the world frame",
+            (_LAG,),
+            order=1,
+            world=True,
+            tried=("x", "y"),
+        ),
         Structure("quadratic_drag", "v' = g u(t - tau) - b (1 - m + m |v|/V) v + c", _DRAG, linear=False),
         Structure(
             "climb_descent",
@@ -242,7 +255,7 @@ def law_of(
     """
     law = np.zeros(LAW_SIZE)
     law[[GAIN, DAMPING, DELAY, TRIM, LEVEL]] = gain, damping, delay, trim, np.inf
-    law[[ORDER, KICKS]] = structure.order, structure.kicks
+    law[[ORDER, KICKS, WORLD]] = structure.order, structure.kicks, structure.world
     for one in structure.extras:
         law[one.place] = extra[one.name]
     return law

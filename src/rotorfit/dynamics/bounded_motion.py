@@ -11,6 +11,7 @@ import numpy as np
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DAMPING, GAIN, LAG, ORDER, TRIM
 from rotorfit.dynamics.compiled import kernel
+from rotorfit.dynamics.general_step import lags_in_world
 
 
 def bounded_motion(step: float, command: Array, yaw: Array, law: Array, velocity: Array, bounds: Array) -> Any:
@@ -47,9 +48,10 @@ def _bounded_motion(
         for i in range(command.shape[0]):
             c, s = (np.cos(yaw[i]), np.sin(yaw[i])) if K == 2 else (1.0, 0.0)
             wx, wy = law[0, GAIN] * command[i, 0], (law[y, GAIN] * command[i, y]) if K == 2 else 0.0
-            lx, ly = (wx, wy) if i == 0 else (c * qx + s * qy, c * qy - s * qx)
+            qc, qs = (c, s) if lags_in_world(law) else (1.0, 0.0)
+            lx, ly = (wx, wy) if i == 0 else (qc * qx + qs * qy, qc * qy - qs * qx)
             lx, ly = wx + keep_x * (lx - wx), wy + keep_y * (ly - wy)
-            qx, qy = c * lx - s * ly, s * lx + c * ly
+            qx, qy = qc * lx - qs * ly, qs * lx + qc * ly
             dx = lx - law[0, DAMPING] * (c * vx + s * vy)
             dy = ly - law[y, DAMPING] * (c * vy - s * vx) if K == 2 else 0.0
             size = np.hypot(dx, dy)

@@ -13,7 +13,7 @@ from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import CROSS_DAMPING, DAMPING, DELAY, KICKS, LAG, ORDER, SHARE, SPEED, ZERO
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import longest_step
-from rotorfit.dynamics.general_step import demand, lag_series, lags_in_space, linear_step
+from rotorfit.dynamics.general_step import demand, lag_series, lags_in_world, linear_step
 
 RUNS = 32
 """Width of a slot, and largest number of runs side by side."""
@@ -22,7 +22,7 @@ _VECTOR = 4
 """Runs are stepped in multiples of this: those before and after the active ones are computed in vain."""
 
 _PX, _PY, _VX, _VY, _QX, _QY, _TX, _TY = (RUNS * i for i in range(8))
-# Position and velocity (world), lagged demand (see `lags_in_space`) or acceleration, trim (heading frame).
+# Position and velocity (world), lagged demand (see `lags_in_world`) or acceleration, trim (heading frame).
 
 _YAW, _TURN, _C, _S, _HALF_C, _HALF_S = (RUNS * i for i in range(8, 14))
 # Heading before a step, its change, cosine and sine of the heading, and of half the change.
@@ -30,7 +30,7 @@ _YAW, _TURN, _C, _S, _HALF_C, _HALF_S = (RUNS * i for i in range(8, 14))
 _OUT = RUNS * 14
 
 STATE = 8
-"""Numbers of a run: world position and velocity of both axes, lagged demand (see `lags_in_space`) or acceleration, trim
+"""Numbers of a run: world position and velocity of both axes, lagged demand (see `lags_in_world`) or acceleration, trim
 (heading frame)."""
 
 _TWO_OVER_PI = 2.0 / np.pi
@@ -192,7 +192,7 @@ def _advance(
     """Propagates the runs from t to t_end through every switch in between; see `general_response.advance`."""
     begin, span = t, max(t_end - t, 1e-12)
     kicked = law[0, KICKS] + law[1, KICKS] > 0
-    spin = 1.0 if lags_in_space(law) else 0.0
+    spin = 1.0 if lags_in_world(law) else 0.0
     while t < t_end:
         t_next, switch = t_end, 2
         for a in range(2):

@@ -25,7 +25,7 @@ from rotorfit.dynamics.general_step import (
     demand,
     demand_slope,
     lag_series,
-    lags_in_space,
+    lags_in_world,
     linear_step,
     move,
 )
@@ -59,7 +59,7 @@ def demands(law: Array, what: Any, whose: Any, u: Array, z: Array) -> None:
 @inner()
 def _into_lag(law: Array, z: Array, a: int, j: int, change: float, psi: float) -> None:
     """Adds to the lagged demand of axis a in column j."""
-    if lags_in_space(law):
+    if lags_in_world(law):
         z[Q + j] += change * (np.cos(psi) if a == 0 else -np.sin(psi))
         z[Q + COLUMNS + j] += change * (np.sin(psi) if a == 0 else np.cos(psi))
     else:
@@ -77,7 +77,7 @@ def _led(law: Array, z: Array, C: int, sign: float, psi: float) -> None:
             lead = sign * law[a, ZERO] / law[a, LAG]
             for j in range(C):
                 z[Q + COLUMNS * a + j] += lead * z[W + COLUMNS * a + j]
-        elif law[a, ORDER] == 0 and lags_in_space(law):
+        elif law[a, ORDER] == 0 and lags_in_world(law):
             for j in range(C):
                 _into_lag(law, z, a, j, sign * z[W + COLUMNS * a + j], psi)
 
@@ -109,7 +109,7 @@ def _switch(
                 lead = law[a, ZERO] / law[a, LAG]
                 _into_lag(law, z, a, j, (1.0 - lead) * impulse / law[a, LAG], psi)
                 impulse *= lead
-            elif lags_in_space(law):
+            elif lags_in_world(law):
                 _into_lag(law, z, a, j, -impulse * turn, psi + 0.5 * np.pi)
             if K == 1:
                 z[V + j] += impulse
@@ -132,7 +132,7 @@ def settle(law: Array, z: Array, C: int, yaw: float) -> None:
             z[Q + at] = z[W + at]
             if law[a, ORDER] == 2:
                 z[Q + at] += z[T + at] - law[a, DAMPING] * (c * x + s * y if a == 0 else c * y - s * x)
-        if lags_in_space(law):
+        if lags_in_world(law):
             x, y = z[Q + j], z[Q + COLUMNS + j]
             z[Q + j], z[Q + COLUMNS + j] = c * x - s * y, s * x + c * y
 

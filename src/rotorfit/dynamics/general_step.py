@@ -27,6 +27,7 @@ from rotorfit.core.laws import (
     ORDER,
     SHARE,
     SPEED,
+    WORLD,
 )
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.response import transition
@@ -40,7 +41,7 @@ COLUMNS = 32
 
 P, V, Q, W, T = 0, 2 * COLUMNS, 4 * COLUMNS, 6 * COLUMNS, 8 * COLUMNS
 """Offsets of the columns in an array of `STATE` numbers, for axis 0 and then axis 1: world position, world velocity,
-lagged demand (of x and y in the world frame, see `lags_in_space`; second order: acceleration), demand, trim. A single
+lagged demand (see `lags_in_world`; second order: acceleration), demand, trim. A single
 array with constant offsets shows the compiler that nothing overlaps, so that it vectorises over four columns."""
 
 STATE = 10 * COLUMNS
@@ -135,13 +136,12 @@ def _lag_rates(law: Array, a: int) -> Any:
 
 
 @inner()
-def lags_in_space(law: Array) -> bool:
-    """Whether the lagged demand of x and y keeps its direction in space when the vehicle turns.
+def lags_in_world(law: Array) -> bool:
+    """Whether the lagged demand of x and y keeps its direction in the world when the vehicle turns.
 
-    A lag of the tilt does: turning about the thrust does not change its direction. The acceleration of a second order
-    turns with the heading.
+    Not beside a second order, whose acceleration turns with the heading.
     """
-    return law.shape[0] == 2 and max(law[0, ORDER], law[1, ORDER]) == 1
+    return law.shape[0] == 2 and law[0, WORLD] + law[1, WORLD] > 0 and max(law[0, ORDER], law[1, ORDER]) < 2
 
 
 @inner()
@@ -292,7 +292,7 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
     if K == 2:
         v0, v1 = c * v0 + s * v1, c * v1 - s * v0
     q0, w0, t0, q1, w1, t1 = z[Q], z[W], z[T], z[Q + COLUMNS], z[W + COLUMNS], z[T + COLUMNS]
-    qc, qs = (c, s) if lags_in_space(law) else (1.0, 0.0)
+    qc, qs = (c, s) if lags_in_world(law) else (1.0, 0.0)
     if K == 1:
         _move_line(z, S, C)
     else:

@@ -14,7 +14,7 @@ from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DAMPING, DELAY, FIRST_ORDER_DELAY, GAIN, LAG, ORDER, TRIM, law_of
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import WARM_UP, longest_step
-from rotorfit.dynamics.general_step import lag_series
+from rotorfit.dynamics.general_step import lag_series, lags_in_world
 from rotorfit.dynamics.lagged_response import impulse
 from rotorfit.dynamics.response import VANISH_EVERY, transition, vanished
 
@@ -27,7 +27,7 @@ _G, _TAU, _C, _V = range(0, _SLOT, 2)
 _P, _S, _Q, _D, _T = range(0, 10 * _SLOT, 2 * _SLOT)
 """Their variables, of x and then of y: world position, velocity and lagged demand; along the heading, demand and trim.
 
-The lagged demand is in the world frame, see `general_step.lags_in_space`. Without a lag it is the demand."""
+For the frame of the lagged demand see `general_step.lags_in_world`. Without a lag it is the demand."""
 
 _REST = (0.0, 0.0, 0.0, 0.0)
 """A column that the motion drives, the derivative by a damping or by a lag, at its start: world position and velocity,
@@ -139,7 +139,7 @@ def _horizontal_response(
     `width` is `_SLOT`, not as a constant, so that loops are vectorised rather than unrolled.
     """
     longest = longest_step(law)
-    lagged = law[0, ORDER] + law[1, ORDER] > 0
+    lagged, world = law[0, ORDER] + law[1, ORDER] > 0, lags_in_world(law)
     for s in range(starts.size):
         for n in range(10 * _SLOT):
             z[n] = 0.0
@@ -150,10 +150,10 @@ def _horizontal_response(
             while k[a] + 1 < last and command_time[k[a] + 1] + law[a, DELAY] <= t:
                 k[a] += 1
             z[_D + _SLOT * a + _G + a] = command[k[a], a]
-        c, sn = np.cos(yaw[i]), np.sin(yaw[i])
+        qc, qs = (np.cos(yaw[i]), np.sin(yaw[i])) if world else (1.0, 0.0)
         for a in range(2):
             x, y = z[_D + _G + a], z[_D + _SLOT + _G + a]
-            z[_Q + _G + a], z[_Q + _SLOT + _G + a] = c * x - sn * y, sn * x + c * y
+            z[_Q + _G + a], z[_Q + _SLOT + _G + a] = qc * x - qs * y, qs * x + qc * y
         b0 = b1 = l0 = l1 = _REST  # derivatives by the dampings and by the lags
         left0 = left1 = 0.0, 0.0  # and of the lagged demand by the lags
         heading, warming = yaw[i], True
@@ -169,6 +169,7 @@ def _horizontal_response(
                     pieces = int(np.ceil((t_next - t) / longest - 1e-9)) if longest < t_next - t else 1
                     psi = yaw[i] + turn * (0.5 * (t + t_next) - stop)
                     c, sn = np.cos(psi), np.sin(psi)
+                    qc, qs = (c, sn) if world else (1.0, 0.0)
                     dt = (t_next - t) / pieces
                     for _ in range(pieces):
                         x, y = _moved(law, velocity, s, z, _S), _moved(law, velocity, s, z, _S + _SLOT)
@@ -176,25 +177,25 @@ def _horizontal_response(
                         f1, k1, h1, df1, dk1, dh1 = transition(law[1, DAMPING], dt)
                         G0, J0, GA0, JA0, JB0, fade0 = _lag_step(law, series, 0, dt)
                         G1, J1, GA1, JA1, JB1, fade1 = _lag_step(law, series, 1, dt)
-                        r0, r1 = _behind(law, z, c, sn)
+                        r0, r1 = _behind(law, z, qc, qs)
                         pb, vb = _slowed(law, 0, z, c * x + sn * y, df0, dk0, dh0, GA0, JA0, JB0, r0)
                         b0 = _carried(b0, c, sn, k0, f0, k1, f1, pb, vb, 0.0, 0.0)
                         pb, vb = _slowed(law, 1, z, c * y - sn * x, df1, dk1, dh1, GA1, JA1, JB1, r1)
                         b1 = _carried(b1, c, sn, k0, f0, k1, f1, 0.0, 0.0, pb, vb)
                         if lagged:
-                            q0, q1 = c * left0[0] + sn * left0[1], c * left0[1] - sn * left0[0]
+                            q0, q1 = qc * left0[0] + qs * left0[1], qc * left0[1] - qs * left0[0]
                             pl, vl, q0 = _late(law, 0, q0, r0, dt, G0, J0, GA0, JA0, JB0, fade0)
                             l0 = _carried(l0, c, sn, k0, f0, k1, f1, pl, vl, J1 * q1, G1 * q1)
                             q1 *= fade1
-                            left0 = c * q0 - sn * q1, sn * q0 + c * q1
-                            q0, q1 = c * left1[0] + sn * left1[1], c * left1[1] - sn * left1[0]
+                            left0 = qc * q0 - qs * q1, qs * q0 + qc * q1
+                            q0, q1 = qc * left1[0] + qs * left1[1], qc * left1[1] - qs * left1[0]
                             pl, vl, q1 = _late(law, 1, q1, r1, dt, G1, J1, GA1, JA1, JB1, fade1)
                             l1 = _carried(l1, c, sn, k0, f0, k1, f1, J0 * q0, G0 * q0, pl, vl)
                             q0 *= fade0
-                            left1 = c * q0 - sn * q1, sn * q0 + c * q1
+                            left1 = qc * q0 - qs * q1, qs * q0 + qc * q1
                             for j in range(width):
                                 vx, vy = _turned(z, _S + j, c, sn)
-                                qx, qy = _turned(z, _Q + j, c, sn)
+                                qx, qy = _turned(z, _Q + j, qc, qs)
                                 dx, dy = z[_D + j], z[_D + _SLOT + j]
                                 qx, qy = qx - dx, qy - dy
                                 wx, wy = dx + z[_T + j], dy + z[_T + _SLOT + j]
@@ -204,7 +205,7 @@ def _horizontal_response(
                                 z[_P + j] += c * px - sn * py
                                 z[_P + _SLOT + j] += sn * px + c * py
                                 z[_S + j], z[_S + _SLOT + j] = c * vx - sn * vy, sn * vx + c * vy
-                                z[_Q + j], z[_Q + _SLOT + j] = c * qx - sn * qy, sn * qx + c * qy
+                                z[_Q + j], z[_Q + _SLOT + j] = qc * qx - qs * qy, qs * qx + qc * qy
                             continue
                         for j in range(width):
                             vx, vy = _turned(z, _S + j, c, sn)
@@ -270,18 +271,22 @@ def _switch(law: Array, a: int, new: float, yaw: float, turn: float, z: Array) -
     Without a lag the lagged demand jumps, in a direction that turns with the time of the switch.
     """
     own = (_SLOT + 1) * a
-    x, y = (np.cos(yaw), np.sin(yaw)) if a == 0 else (-np.sin(yaw), np.cos(yaw))
+    c, s = np.cos(yaw), np.sin(yaw)
+    qc, qs = (c, s) if lags_in_world(law) else (1.0, 0.0)
+    qx, qy = (qc, qs) if a == 0 else (-qs, qc)
     change = z[_D + _G + own] - new
+    by_delay = law[a, GAIN] * change
     if law[a, ORDER] == 1:
-        at, by_delay = _Q, law[a, GAIN] * change / law[a, LAG]
+        z[_Q + _TAU + a] += by_delay / law[a, LAG] * qx
+        z[_Q + _SLOT + _TAU + a] += by_delay / law[a, LAG] * qy
     else:
-        at, by_delay = _S, law[a, GAIN] * change
-        z[_Q + _G + a] -= change * x
-        z[_Q + _SLOT + _G + a] -= change * y
-        z[_Q + _TAU + a] += by_delay * turn * y
-        z[_Q + _SLOT + _TAU + a] -= by_delay * turn * x
-    z[at + _TAU + a] += by_delay * x
-    z[at + _SLOT + _TAU + a] += by_delay * y
+        z[_S + _TAU + a] += by_delay * (c if a == 0 else -s)
+        z[_S + _SLOT + _TAU + a] += by_delay * (s if a == 0 else c)
+        z[_Q + _G + a] -= change * qx
+        z[_Q + _SLOT + _G + a] -= change * qy
+        if lags_in_world(law):
+            z[_Q + _TAU + a] += by_delay * turn * qy
+            z[_Q + _SLOT + _TAU + a] -= by_delay * turn * qx
     z[_D + _G + own] = new
 
 

@@ -101,12 +101,14 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
 
 
 def _turning(subject: Subject, axis: str) -> str:
-    """What a turn adds to q' of x and y, which keep their direction in space; see `general_step.lags_in_space`."""
-    other = {"x": "y", "y": "x"}.get(axis)
-    if other not in subject.axes:
+    """What a turn adds to q' where the lagged demand of x and y keeps its direction in the world."""
+    if axis not in ("x", "y") or {"x", "y"} - {*subject.axes}:
         return ""
-    order = subject.structure(other).order
-    return "" if order > 1 else f" {'+' if axis == 'x' else '-'} {SPEEDS['yaw']} * {'q' if order else 'w'}_{other}"
+    pair = {"x": "y", "y": "x"}
+    if not any(subject.structure(k).world for k in pair) or any(subject.structure(k).order > 1 for k in pair):
+        return ""
+    lagged = "q" if subject.structure(pair[axis]).order else "w"
+    return f" {'+' if axis == 'x' else '-'} {SPEEDS['yaw']} * {lagged}_{pair[axis]}"
 
 
 def _answered(axis: str, names: set[str], c: Callable[[str], str], language: Language) -> str:

@@ -1,9 +1,10 @@
 """The default laws: delay and lag with a weak prior on the lag, or second order with a zero where the data require it.
 
-Between command and acceleration of x and y is the attitude loop: a lag in addition to the delay. A velocity loop, on
-axes that have one, overshoots: its integral part gives a second order, its feed-forward a zero. A fast attitude loop
-is indistinguishable from a delay. The three laws are weighted by their evidence; where several remain, the published
-intervals of an axis contain those of all of them.
+Between command and acceleration of x and y is the attitude loop: a lag in addition to the delay. Where the vehicle
+turns, the lagged acceleration turns with the heading, as that of commanded angles does, or it keeps its direction in
+the world, as that of a velocity loop does: the data decide. A velocity loop, on axes that have one, overshoots: its
+integral part gives a second order, its feed-forward a zero. A fast attitude loop is indistinguishable from a delay. The
+laws are weighted by their evidence; where several remain, the published intervals of an axis contain those of all.
 
 Source: J. A. Hoeting et al., Statistical Science 14 (1999), pp. 382-417 (averaging over models).
 """
@@ -25,9 +26,18 @@ from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached
 from rotorfit.estimation.likelihood.law_selection import effective_samples
 from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
 from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
-from rotorfit.estimation.likelihood.richer_laws import Hopeless, PriorOf, estimate_laws, never, under_law
+from rotorfit.estimation.likelihood.richer_laws import (
+    Hopeless,
+    PriorOf,
+    estimate_laws,
+    finished,
+    never,
+    under_law,
+)
 
-LAGGED, LED = STRUCTURES["first_order_delay_lag"], STRUCTURES["second_order_zero"]
+LAGGED, WORLD, LED = (
+    STRUCTURES[name] for name in ("first_order_delay_lag", "first_order_delay_world_lag", "second_order_zero")
+)
 """The laws of the family besides the first-order law with a delay."""
 
 WITH_LOOP = ("z", "yaw")
@@ -141,13 +151,28 @@ def default_laws(
         return all(hopeless(plain, replace(plain, optimum=begun, place=k)) for k, plain in known)
 
     lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of, given_up)
+    turned = _in_world(lagged, prior_of, given_up)
     out: dict[str, tuple[Estimate, ...]] = {}
     for axis, plain in estimates.items():
         out[axis] = (plain, lagged[axis]) if plain.excited else (plain,)
+        if axis in turned:
+            out[axis] += (turned[axis],)
         if plain.excited and axis in WITH_LOOP:
             alone = hopeless(plain, lagged[axis])  # a law that holds is weighed by the innovations of the likeliest one
             out[axis] += (_led(axis, lagged[axis], plain, prior_of, given_up if alone else never),)
     return out
+
+
+def _in_world(lagged: Mapping[str, Estimate], prior_of: PriorOf, given_up: Hopeless) -> dict[str, Estimate]:
+    """x and y with a lag in the world frame, climbed from where a lag in the heading frame ended, if they turn."""
+    first = next(iter(lagged.values()))
+    point, group = first.optimum.point, tuple(lagged)
+    if LAGGED not in point.structures or point.gain.size == 1:
+        return {}
+    laws = tuple(WORLD if one == LAGGED else one for one in point.structures)
+    moving = [lagged[axis].excited for axis in group]
+    optimum = finished(first.records, replace(point, structures=laws), moving, prior_of(group, laws), given_up)
+    return {axis: replace(one, optimum=optimum) for axis, one in lagged.items() if one.excited}
 
 
 def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
@@ -200,7 +225,7 @@ def _needed(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimat
         for place, law in enumerate(laws)
         if place
         and not _inverted(law.optimum)
-        and not (place > 1 and _moves_as_lagged(law))
+        and not (structure_at(law.optimum, law.place) == LED and _moves_as_lagged(law))
         and not any(errors[place] > (1 + ALIKE) * simpler for simpler in errors[:place])
     ]
 
