@@ -149,7 +149,12 @@ def _choice(
     axis: str,
 ) -> Choice:
     group = tuple(estimates)
-    names = [s for s in STRUCTURES.values() if axis in s.tried and applicable_structure(s, group) == s]
+    turns = estimates[axis].optimum.point.gain.size == 2
+    names = [
+        s
+        for s in STRUCTURES.values()
+        if axis in s.tried and applicable_structure(s, group) == s and (turns or not s.world)  # else as a plain lag
+    ]
     samples, share = effective_samples(estimates[axis])
     trials = [_trial(serving, folds, estimates, axis, structure, samples, share) for structure in names]
     trials.sort(key=lambda trial: (trial.structure != FIRST_ORDER_DELAY, trial.structure.size))  # else as in the table
