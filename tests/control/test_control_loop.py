@@ -4,6 +4,7 @@ import re
 import tomllib
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,10 @@ import numpy as np
 import pytest
 
 from models import VEHICLE, model_of
-from rotorfit.control.controller import ReferencePath, at_rest, commanded, observe
+from rotorfit.control.controller import ReferencePath, at_rest, commanded, observe, predict_motion
 from rotorfit.control.trial import controller_of
 from rotorfit.control.tuning import tune
+from rotorfit.dynamics.response import transition
 from rotorfit.exports.gains import save_gains
 from rotorfit.simulation.air import wind_of
 from rotorfit.simulation.flight_room import Conditions, FlightRoom
@@ -69,6 +71,41 @@ def test_the_loop_of_the_document_commands_as_the_library_does(
     assert steering.saturated > 0
     moved = np.abs(ours).max(axis=0) > 0.01
     assert moved.tolist() == [axis in axes for axis in ("x", "y", "z", "yaw")]
+
+
+@pytest.mark.parametrize(
+    ("rate", "delay", "gap"), [(120.0, 0.58, 0.0), (50.0, 0.1, 1.4)], ids=["under way", "no poses"]
+)
+def test_both_loops_reach_back_to_all_commands_that_still_count(
+    rate: float, delay: float, gap: float, tmp_path: Path
+) -> None:
+    """More than 64 of them, since the last pose less the delay: at a high rate, and while poses stay away."""
+    model = model_of({"x": (3.7, 0.5, delay)})
+    tuning = tune(model, axes=("x",), rate=rate, draws=20)
+    save_gains(tuning, model, tmp_path / "gains.toml")
+    loop = documented()["Loop"](tomllib.loads((tmp_path / "gains.toml").read_text(encoding="utf-8")), np.zeros(4))
+    controller, steering = controller_of(tuning, load_vehicle("bebop2")), at_rest(np.zeros(4))
+    path = ReferencePath("circle", 1.0, 1.0, 20.0, (0.0, 0.0, 0.0, 0.0))
+    law, acted = tuning.axes["x"].law, []
+    for k in range(int((delay + gap + 0.3) * rate)):
+        t = k / rate
+        if not 0.1 < t < 0.1 + gap:
+            pose = np.array([0.1 * np.sin(5.0 * t), 0.0, 0.0, 0.0])
+            steering = observe(controller, steering, t - 0.015, pose, path)
+            loop.seen(t - 0.015, pose)
+        steering, command = commanded(controller, steering, t, path)
+        acted.append((t, command[0]))
+        np.testing.assert_allclose(loop.command(t, partial(wanted, path)), command, rtol=0, atol=1e-9)
+
+    since, end = steering.time, t + law.delay
+    edges = [since, *(when + delay for when, _ in acted if since < when + delay < end), end]
+    p, v, d = steering.state[:, 0]
+    for begin, until in pairwise(edges):
+        u = next((u for when, u in reversed(acted) if when + delay <= begin + 1e-9), 0.0)
+        f, k, h, *_ = transition(law.damping, until - begin)
+        p, v = p + k * v + h * (law.input * u + d), f * v + k * (law.input * u + d)
+    found = predict_motion(controller, steering, end, 0.0)
+    np.testing.assert_allclose(found[:2, 0], (p, v), rtol=0, atol=1e-9)
 
 
 def test_the_loop_of_the_document_turns_commands_for_a_vehicle_that_takes_them_along_the_world(tmp_path: Path) -> None:

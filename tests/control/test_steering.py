@@ -8,7 +8,6 @@ import pytest
 from models import model_of
 from rotorfit.control.control_law import AxisLaw, law_of_bandwidth
 from rotorfit.control.controller import (
-    MEMORY,
     AxisControllers,
     ReferencePath,
     at_rest,
@@ -35,8 +34,8 @@ def controller_for(kind: str = "predictor", bandwidth: float = 1.5) -> AxisContr
 
 def test_the_state_moves_as_the_model_simulates_even_while_turning() -> None:
     rng = np.random.default_rng(1)
-    sent, command = np.arange(MEMORY) * PERIOD, rng.uniform(-1, 1, (MEMORY, 4))
-    begin, end = 0.5, 0.5 + MEMORY / 2 * PERIOD
+    sent, command = np.arange(64) * PERIOD, rng.uniform(-1, 1, (64, 4))
+    begin, end = 0.5, 0.5 + 32 * PERIOD
     pose, velocity = np.array([0.3, -0.2, 1.0, 0.7]), np.array([0.4, 0.1, -0.2, 0.5])
     controller = controller_for()
     known = replace(at_rest(pose, begin), sent=sent, command=command)

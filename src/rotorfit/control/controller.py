@@ -21,6 +21,7 @@ from rotorfit.control.control_law import AxisLaw
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Four, Space
 from rotorfit.core.frames import AXES, Array, Mask
+from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.dynamics.response import transition
 
 Shape = Literal["circle", "lemniscate", "steps"]
@@ -137,9 +138,6 @@ def within(path: ReferencePath, space: Space) -> None:
         )
 
 
-MEMORY = 64
-"""Number of commands that are remembered."""
-
 (INPUT, DAMPING, DELAY, STIFFNESS, RATE, INTEGRAL, FORWARD, FILTER_TIME, OBSERVED, OBSERVER) = range(10)
 """Columns of `AxisControllers.numbers`; the observer has the last three."""
 
@@ -182,8 +180,8 @@ class Steering:
         pose: That pose as measured: world x, y, z [m] and unwrapped yaw [rad], shape (4,).
         state: Estimated position, velocity and disturbance at that stamp, world, shape (3, 4).
         error: Reference minus pose at that stamp, its filtered rate and its integral, world, shape (3, 4).
-        sent: Times at which the last `MEMORY` commands were sent, the latest last, shape (MEMORY,) [s].
-        command: Those commands, heading frame, shape (MEMORY, 4).
+        sent: Times at which the M commands were sent that act at that stamp or later, the latest last, shape (M,) [s].
+        command: Those commands, heading frame, shape (M, 4).
         bounded: Whether full scale bounded the last command of each axis, heading frame, shape (4,).
         saturated: Number of commands so far that full scale bounded on some axis.
     """
@@ -208,7 +206,7 @@ def at_rest(pose: Array, time: float = 0.0) -> Steering:
     state = np.zeros((3, 4))
     state[0] = pose
     nothing = np.zeros(4, np.bool_)
-    return Steering(time, pose.copy(), state, np.zeros((3, 4)), np.full(MEMORY, -1e9), np.zeros((MEMORY, 4)), nothing)
+    return Steering(time, pose.copy(), state, np.zeros((3, 4)), np.full(1, -1e9), np.zeros((1, 4)), nothing)
 
 
 def observe(controller: AxisControllers, steering: Steering, t: float, pose: Array, path: ReferencePath) -> Steering:
@@ -230,7 +228,10 @@ def observe(controller: AxisControllers, steering: Steering, t: float, pose: Arr
     missing = path.known(now, now)[0][0] - pose
     state, error = predict_motion(controller, steering, t, pose[3]), steering.error.copy()
     _learn(state, error, pose, missing, since, steering.bounded, controller.numbers)
-    return replace(steering, time=t, pose=pose, state=state, error=error)
+    # the last command that has acted on every axis is still in force; laws with a longer delay may follow in flight
+    first = max(int(np.searchsorted(steering.sent, t - DELAY_RANGE[1], side="right")) - 1, 0)
+    sent, command = steering.sent[first:], steering.command[first:]
+    return replace(steering, time=t, pose=pose, state=state, error=error, sent=sent, command=command)
 
 
 def commanded(controller: AxisControllers, steering: Steering, t: float, path: ReferencePath) -> tuple[Steering, Array]:
@@ -245,8 +246,8 @@ def commanded(controller: AxisControllers, steering: Steering, t: float, path: R
     bounded = command != wanted
     return replace(
         steering,
-        sent=np.append(steering.sent[1:], t),
-        command=np.vstack([steering.command[1:], command]),
+        sent=np.append(steering.sent, t),
+        command=np.vstack([steering.command, command]),
         bounded=bounded,
         saturated=steering.saturated + bool(bounded.any()),
     ), command
