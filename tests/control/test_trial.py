@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from models import model_of
-from rotorfit.control.controller import HOLD, STEPS, WAIT, ReferencePath
+from rotorfit.control import trial
+from rotorfit.control.control_law import law_of_bandwidth
+from rotorfit.control.controller import HOLD, STEPS, WAIT, AxisControllers, ReferencePath, Steering, commanded
 from rotorfit.control.trial import Trial, controller_of, scores_mapping, tracking_error, try_path, try_tuning
-from rotorfit.control.tuning import tune
+from rotorfit.control.tuning import AxisTuning, Tuning, tune
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.request import space_of_room
 from rotorfit.simulation.air import Gusts, Wind
 from rotorfit.simulation.flight_room import Conditions
@@ -58,6 +61,31 @@ def test_leaving_the_fence_ends_a_flight() -> None:
     assert trial.failed
     assert WAIT < trial.time[-1] < 19.0
     assert (tracking_error(trial).position, tracking_error(trial).overshoot) == (np.inf, None)
+
+
+@pytest.mark.parametrize(("rate", "latency", "flown"), [(50.0, 0.015, 0.015), (50.0, 0.2, 0.2), (400.0, 0.0, 0.00225)])
+def test_a_trial_uses_poses_as_old_as_the_gains_are_for(
+    rate: float, latency: float, flown: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No younger than half a frame and the jitter, and a fresh one for each command, whatever the rate."""
+    ages, stamps, law = [], [], law_of_bandwidth("predictor", AxisBelief(*TRUTH["z"]), 1.0, 1 / rate, latency, 0.03)
+
+    def look(laws: AxisControllers, steering: Steering, t: float, path: ReferencePath) -> tuple[Steering, np.ndarray]:
+        ages.append(t - steering.time)
+        stamps.append(steering.time)
+        return commanded(laws, steering, t, path)
+
+    monkeypatch.setattr(trial, "commanded", look)
+    monkeypatch.setattr(trial, "DURATIONS", {"circle": 6.0})
+    one = AxisTuning(law, 1.0, None, None, None, "")  # type: ignore[arg-type]
+    tuning = Tuning("predictor", rate, latency, dict.fromkeys(AXES, one), {})
+    model = model_of(TRUTH, card=card_from_mapping(BEBOP.card(), "bebop2"))  # type: ignore[arg-type]
+    scores = try_tuning(tuning, model, "bebop2", seeds=1)
+
+    assert scores[0].pose_age == pytest.approx(flown)
+    settled = np.array(ages)[int(0.3 * rate) :]
+    assert settled.mean() == pytest.approx(flown, abs=0.001)
+    assert np.mean(np.diff(stamps[int(0.3 * rate) :]) > 0) > 0.9
 
 
 def made_up(overshoot: float, settled: float) -> Trial:

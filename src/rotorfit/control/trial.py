@@ -1,7 +1,7 @@
 """A controller tried in the virtual flight room: distance of the true vehicle from its reference path."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +29,7 @@ from rotorfit.files.cards import card_from_mapping
 from rotorfit.planning.request import space_of_room
 from rotorfit.simulation.air import wind_of
 from rotorfit.simulation.flight_room import Conditions, FlightRoom
+from rotorfit.simulation.sensors import Mocap
 from rotorfit.simulation.vehicle import Vehicle, load_vehicle
 
 LOOK = 2
@@ -91,6 +92,7 @@ class PathScore:
         saturated: Mean share of the commands that full scale bounded.
         failed: Number of flights that left the space.
         flights: Number of flights.
+        pose_age: Mean age of the pose that a command used [s].
     """
 
     path: ReferencePath
@@ -98,11 +100,13 @@ class PathScore:
     saturated: float
     failed: int
     flights: int
+    pose_age: float
 
 
 def try_tuning(tuning: Tuning, model: Model, address: str, seeds: int = 3) -> tuple[PathScore, ...]:
     """Tries gains on a circle, a lemniscate and steps in a room of 6 x 6 x 4 m.
 
+    A fresh pose comes for each command, as old as the gains are for, or as young as frames of this rate can be.
     The speed is at most 1 m/s, half the steady speed at full command, and the speed whose turns take 0.3 of the full
     acceleration, all according to the model: there a linear model may be trusted.
 
@@ -125,7 +129,8 @@ def try_tuning(tuning: Tuning, model: Model, address: str, seeds: int = 3) -> tu
     if trouble := disagreement(model.card, card_from_mapping(vehicle.card(), vehicle.name)):
         raise ModelError(f"the model's card is not one of {vehicle.name}: {trouble}; try another vehicle")
     controller, space = controller_of(tuning, vehicle), space_of_room(ROOM)
-    conditions = Conditions(wind=wind_of(options, address))
+    mocap = _mocap(tuning)
+    conditions = Conditions(wind=wind_of(options, address), mocap=mocap)
     out = []
     for shape, duration in DURATIONS.items():
         path = ReferencePath(shape, 1.0, _speed(controller), duration)
@@ -135,8 +140,19 @@ def try_tuning(tuning: Tuning, model: Model, address: str, seeds: int = 3) -> tu
         columns = [[getattr(error, part) for error in errors] for part in vars(errors[0])]
         middle = TrackingError(*(None if None in column else float(np.median(column)) for column in columns))  # type: ignore[arg-type]
         share = float(np.mean([trial.saturated for trial in trials]))
-        out.append(PathScore(path, middle, share, sum(trial.failed for trial in trials), seeds))
+        out.append(PathScore(path, middle, share, sum(trial.failed for trial in trials), seeds, _age(mocap)))
     return tuple(out)
+
+
+def _mocap(tuning: Tuning) -> Mocap:
+    """Motion capture with the rate and the age of poses that gains are for."""
+    fast = replace(Mocap(), rate=max(Mocap.rate, tuning.rate), latency=0.0)
+    return replace(fast, latency=max(tuning.latency - _age(fast), 0.0))
+
+
+def _age(mocap: Mocap) -> float:
+    """Mean age of the newest pose at a command [s]: it waits for half a frame."""
+    return mocap.latency + mocap.jitter + 0.5 / mocap.rate
 
 
 def scores_mapping(scores: Sequence[PathScore]) -> dict[str, dict[str, float | int | None]]:
@@ -151,6 +167,7 @@ def scores_mapping(scores: Sequence[PathScore]) -> dict[str, dict[str, float | i
             "saturated": one.saturated,
             "failed": one.failed,
             "flights": one.flights,
+            "pose_age": one.pose_age,
         }
         for one in scores
     }

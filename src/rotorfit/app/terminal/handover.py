@@ -100,8 +100,8 @@ def tuning_view(tuning: Tuning, card: Card) -> View:
 
 def trial_view(scores: Sequence[PathScore], address: str) -> View:
     """Tracking errors in the virtual flight room."""
-    flights = scores[0].flights
-    yield title(f"In the flight room: {address}, {flights} flights of each path")
+    flights, age = scores[0].flights, 1e3 * scores[0].pose_age
+    yield title(f"In the flight room: {address}, {flights} flights of each path, poses {age:.3g} ms old")
     shown = table("path", "m/s", "position", "heading", "overshoot", "settled", "saturated", "left the fence")
     for one in scores:
         error, steps = one.error, one.path.shape == "steps"
