@@ -15,12 +15,14 @@ import pytest
 from click.testing import CliRunner, Result
 
 from files.version_0_1.numbers_of import FOLDER
+from models import VEHICLE, model_of
 from rotorfit.app.cli import main
-from rotorfit.files.cards import load_card
+from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.logs import FORMATS
-from rotorfit.files.models import load, to_mapping
+from rotorfit.files.models import load, save, to_mapping
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.simulation.vehicle import load_vehicle
 from rotorfit.version import __version__
 
 pytestmark = pytest.mark.flights
@@ -641,3 +643,41 @@ def test_a_real_flight_is_fitted_and_proved_from_the_command_line(real_flights: 
     x = {"model": scores["flights"][0], "hold": scores["baselines"]["hold"]["flights"][0]}
     errors = {name: each["axes"]["x"]["horizons"]["1"]["velocity_rmse"] for name, each in x.items()}
     assert errors["model"] < errors["hold"]
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--try", "bebop2,wnd=1"), "--try bebop2,wnd=1: 'wnd=1' is not one of wind=NUMBER"),
+        (("--try", "nobody"), "no vehicle 'nobody'"),
+        (("--try", "tello"), "a command on x asks for tilt by the model's card, for velocity by the vehicle's"),
+        (("--axes", "x,yaw", "--try", "bebop2"), "none for y and z: not in --axes"),
+    ],
+)
+def test_what_no_trial_can_fly_is_refused_before_anything_is_tuned(
+    words: tuple[str, ...], why: str, tmp_path: Path
+) -> None:
+    save(model_of(card=card_from_mapping(load_vehicle("bebop2").card(), "bebop2")), tmp_path / "m.json")
+
+    refused = run("tune", tmp_path / "m.json", *words, "-o", tmp_path / "gains.toml")
+
+    assert refused.exit_code == 1
+    assert why in refused.stderr.replace("\n", " ")
+    assert "--link" not in refused.stderr
+    assert "plan" not in refused.stderr
+    assert not (tmp_path / "gains.toml").exists()
+
+
+def test_gains_that_no_trial_can_fly_are_shown_with_the_reason(tmp_path: Path) -> None:
+    card = card_from_mapping(load_vehicle("bebop2").card(), "bebop2")
+    save(model_of({"x": VEHICLE["x"]}, card), tmp_path / "m.json")
+
+    refused = run("tune", tmp_path / "m.json", "--try", "bebop2", "-o", tmp_path / "gains.toml")
+    as_json = run("tune", tmp_path / "m.json", "--try", "bebop2", "--json")
+
+    why = "the model has no numbers (not_excited)"
+    assert (refused.exit_code, as_json.exit_code) == (1, 1)
+    assert "bandwidth" in refused.stdout
+    assert f"Gains written to {tmp_path / 'gains.toml'}" in refused.stdout.replace("\n", "")
+    assert why in refused.stderr.replace("\n", " ")
+    assert from_json(as_json.stdout)["axes"]["x"]["bandwidth"] > 0

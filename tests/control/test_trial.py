@@ -120,5 +120,5 @@ def test_gains_are_tried_on_the_vehicle_that_they_are_for() -> None:
     assert told["circle"]["overshoot"] is None
     with pytest.raises(ModelError, match="not one of Ryze Tello"):
         try_tuning(tune(model, draws=20), model, "tello")
-    with pytest.raises(ModelError, match="no gains for y, z, yaw"):
+    with pytest.raises(ModelError, match="none for y, z and yaw: not in --axes"):
         try_tuning(tune(model, axes=("x",), draws=20), model, "bebop2")

@@ -25,9 +25,10 @@ from rotorfit.core.flight_plan import Space
 from rotorfit.core.frames import AXES, Array, yaw_from_quaternion
 from rotorfit.core.limits import disagreement
 from rotorfit.core.model import Model
+from rotorfit.core.plain import by_reason
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.planning.request import space_of_room
-from rotorfit.simulation.air import wind_of
+from rotorfit.simulation.air import Wind, wind_of
 from rotorfit.simulation.flight_room import Conditions, FlightRoom
 from rotorfit.simulation.sensors import Mocap
 from rotorfit.simulation.vehicle import Vehicle, load_vehicle
@@ -122,15 +123,11 @@ def try_tuning(tuning: Tuning, model: Model, address: str, seeds: int = 3) -> tu
         LinkError: The address has an unknown option.
         PlanError: A path does not fit into the room or exceeds its speeds.
     """
-    name, *options = address.split(",")
-    vehicle = load_vehicle(name)
-    if missing := [axis for axis in AXES if axis not in tuning.axes]:
-        raise ModelError(f"no gains for {', '.join(missing)}: all four axes must be held to try them in flight")
-    if trouble := disagreement(model.card, card_from_mapping(vehicle.card(), vehicle.name)):
-        raise ModelError(f"the model's card is not one of {vehicle.name}: {trouble}; try another vehicle")
+    vehicle, wind = trial_vehicle(model, address)
+    _all_held({axis: tuning.refused.get(axis, "not in --axes") for axis in AXES if axis not in tuning.axes})
     controller, space = controller_of(tuning, vehicle), space_of_room(ROOM)
     mocap = _mocap(tuning)
-    conditions = Conditions(wind=wind_of(options, address), mocap=mocap)
+    conditions = Conditions(wind=wind, mocap=mocap)
     out = []
     for shape, duration in DURATIONS.items():
         path = ReferencePath(shape, 1.0, _speed(controller), duration)
@@ -142,6 +139,27 @@ def try_tuning(tuning: Tuning, model: Model, address: str, seeds: int = 3) -> tu
         share = float(np.mean([trial.saturated for trial in trials]))
         out.append(PathScore(path, middle, share, sum(trial.failed for trial in trials), seeds, _age(mocap)))
     return tuple(out)
+
+
+def trial_vehicle(model: Model, address: str, axes: Sequence[str] = AXES) -> tuple[Vehicle, Wind]:
+    """The vehicle and the wind of an address, for gains that are yet to be tuned for some axes.
+
+    Raises:
+        ModelError, VehicleError, LinkError: As `try_tuning`.
+    """
+    name, *options = address.split(",")
+    vehicle, wind = load_vehicle(name), wind_of(options, f"--try {address}")
+    card, named = card_from_mapping(vehicle.card(), vehicle.name), ("the model's card", "the vehicle's")
+    if trouble := disagreement(model.card, card, named):
+        raise ModelError(f"the model's card is not one of {vehicle.name}: {trouble}; try another vehicle")
+    _all_held({axis: "not in --axes" for axis in AXES if axis not in axes})
+    return vehicle, wind
+
+
+def _all_held(missing: Mapping[str, str]) -> None:
+    """Refuses a trial without gains of all axes; `missing`: axis name to the reason."""
+    if missing:
+        raise ModelError(f"all four axes must be held to try gains in flight; none for {by_reason(missing)}")
 
 
 def _mocap(tuning: Tuning) -> Mocap:

@@ -159,9 +159,8 @@ def _run(state, normal, transition, root, gusts):  # type: ignore[no-untyped-def
 
 
 def wind_of(options: Sequence[str], address: str) -> "Wind":
-    """The wind of a link address, from the options after its vehicle; raises as `open_link`."""
-
-    known, given = {"wind": 0.0, "gusts": 0.0}, f"--link sim{'' if address.startswith(',') else ':'}{address}"
+    """The wind of an address of a vehicle, as given on the command line, from its options; raises as `open_link`."""
+    known = {"wind": 0.0, "gusts": 0.0}
     for option in reversed(options):  # the first of two counts
         key, equal, text = option.partition("=")
         try:
@@ -170,8 +169,8 @@ def wind_of(options: Sequence[str], address: str) -> "Wind":
             known[key] = float(text)
         except ValueError:
             wanted = ", ".join(f"{name}=NUMBER" for name in known)
-            raise LinkError(f"{given}: {option!r} is not one of {wanted}, in m/s") from None
+            raise LinkError(f"{address}: {option!r} is not one of {wanted}, in m/s") from None
     sigma = known["gusts"]
     if not (math.isfinite(known["wind"]) and 0 <= sigma < math.inf):
-        raise LinkError(f"{given}: wind and gusts are finite, gusts not negative")
+        raise LinkError(f"{address}: wind and gusts are finite, gusts not negative")
     return Wind((known["wind"], 0.0, 0.0), Gusts((sigma, sigma, sigma / 2)) if sigma else None)

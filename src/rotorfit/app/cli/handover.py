@@ -133,6 +133,7 @@ def tune(
     """Tune a position controller, as fast as the accuracy of the model allows."""
     from rotorfit.app.workflows import check_destination
     from rotorfit.control.tuning import tune as tuned
+    from rotorfit.core.errors import RotorfitError
     from rotorfit.exports.gains import GAINS_MARK, check_gains_name, save_gains, tuning_mapping
     from rotorfit.files.models import load
 
@@ -140,22 +141,33 @@ def tune(
         check_gains_name(output)
         check_destination(output, GAINS_MARK)
     model = load(model_path)
+    if address:
+        from rotorfit.control.trial import trial_vehicle
+
+        trial_vehicle(model, address, axes)
     tuning = tuned(model, design, rate=rate, latency=latency, axes=axes, peak=peak, seed=seed)
     if output:
         say_kept(save_gains(tuning, model, output))
-    scores = None
+    told = tuning_mapping(tuning, model)
+    if not as_json:
+        from rotorfit.app.terminal import show
+        from rotorfit.app.terminal.handover import trial_view, tuning_view
+
+        show(tuning_view(tuning, model.card))
+        click.echo(
+            f"\nGains written to {output}." if output else "\nNothing was written; -o gains.toml keeps the gains."
+        )
     if address:
         from rotorfit.control.trial import scores_mapping, try_tuning
 
-        scores = try_tuning(tuning, model, address)
-    if as_json:
-        return print_json(tuning_mapping(tuning, model) | ({"trial": scores_mapping(scores)} if scores else {}))
-    from rotorfit.app.terminal import show
-    from rotorfit.app.terminal.handover import trial_view, tuning_view
-
-    show(tuning_view(tuning, model.card))
-    if scores and address:
-        click.echo()
-        show(trial_view(scores, address))
-    click.echo(f"\nGains written to {output}." if output else "\nNothing was written; -o gains.toml keeps the gains.")
-    return None
+        try:
+            scores = try_tuning(tuning, model, address)
+        except RotorfitError:
+            if as_json:
+                print_json(told)
+            raise
+        if not as_json:
+            click.echo()
+            return show(trial_view(scores, address))
+        told["trial"] = scores_mapping(scores)
+    return print_json(told) if as_json else None

@@ -77,8 +77,10 @@ def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
     options = [option for option in given if option.partition("=")[0] not in DEFAULTS]
     start, seed, flying = _scene([option for option in given if option not in options])
     changes = [option for option in options if option.partition("=")[0] in GIVEN]
-    wind = wind_of([option for option in options if option not in changes], ",".join([name, *options]))
-    conditions = Conditions(wind, changes=changes_of(changes, ",".join([name, *options])))
+    address = ",".join([name, *options])
+    shown = f"--link sim{':' if name else ''}{address}"
+    wind = wind_of([option for option in options if option not in changes], shown)
+    conditions = Conditions(wind, changes=changes_of(changes, address))
     vehicle = load_vehicle(name or VEHICLE)
     if trouble := disagreement(card, card_from_mapping(vehicle.card(), vehicle.name), (whose, "the vehicle's")):
         raise LinkError(f"sim: {whose} is not one of {vehicle.name}: {trouble}; {remedy.format(name or VEHICLE)}")
