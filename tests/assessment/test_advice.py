@@ -1,5 +1,6 @@
 """Findings: each of them where it belongs, with numbers in it, and none where all is well."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -11,13 +12,19 @@ from rotorfit.app.workflows import fit_logs
 from rotorfit.assessment.advice import findings_of_fit, too_early
 from rotorfit.assessment.law_findings import law_findings, with_size
 from rotorfit.assessment.summary import summary_of_model
+from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Candidate, Combination, Evidence, Mode, Predictor, Weighed
+from rotorfit.core.model import Candidate, Combination, Evidence, Mode, Predictor, Weighed, predictor_of
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood import coefficients
+from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.extra_parameters import structure_at
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.law_selection import unidentifiable_candidate
+from rotorfit.estimation.likelihood.profile import Profile
 from rotorfit.files.log_span import parse_log
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Controller, Truth
@@ -394,6 +401,32 @@ def test_of_a_law_that_finds_nothing_the_sign_is_that_of_the_law_with_a_delay() 
 
     assert told["sign_flipped", "x"].evidence.startswith("the input gain of x is -3.")
     assert ("law_refuted", "x") in told
+
+
+def test_a_law_under_which_the_input_may_be_zero_is_not_told_as_an_idle_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As where slow sines need only the product of input and zero; with a delay alone the input is clear."""
+
+    def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
+        found, extras = whole(records, optimum, index), structure_at(optimum, 0).extras
+        return replace(found, ci95=(-0.1, 4.0)) if extras and index == optimum.point.place("input", 0) else found
+
+    whole = coefficients.profile
+    monkeypatch.setattr(coefficients, "profile", profile)
+    flight = flown(NO_STALE, partial(two_sines, axes=("x",)), 20.0, 2)
+    result = fit([flight], axes=("x",), structure="second_order_zero")
+
+    axis, told = result.model.axes["x"], found(result)
+    assert (axis.predictor, set(axis.status.values())) == (None, {"not_identifiable"})
+    assert {"not_excited", "law_refuted"}.isdisjoint(code for code, _ in told)
+    about = told["input_not_identifiable", "x"]
+    assert about.severity == "warning"
+    assert "under second_order_zero holds 0; with a delay alone the input is 3.7" in about.evidence
+    assert about.remedy.startswith("fit without --structure")
+    assert "do not tell the input of x under its law" in summary_of_model(result.model, ("x",))
+    with pytest.raises(ModelError, match=r"\(not_identifiable\): the law .* does not tell its input; fit without"):
+        predictor_of(result.model, "x")
 
 
 def between_laws(result: Fit, **parts: object) -> Fit:

@@ -20,7 +20,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes, with_frozen
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Axis, Weighed, with_findings
+from rotorfit.core.model import Axis, Weighed, first_order_beside, with_findings
 from rotorfit.core.results import Fit
 from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.doctor import SHORT_TIME
@@ -225,6 +225,16 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
             else f"the {name} command explains nothing: with it the motion is predicted no better than without it",
             f"no coefficient of {name} is a number",
             f"fly {name} with the paper's two sines or larger steps, not only with a position controller's corrections",
+            name,
+        )
+    elif status == "not_identifiable" and not axis.predictor and (beside := first_order_beside(axis)):
+        yield Finding(
+            "input_not_identifiable",
+            "warning",
+            f"the {name} command explains the motion, but the interval of the input under {axis.structure} holds 0; "
+            f"with a delay alone the input is {beside.input:.3g}",
+            f"{axis.structure} has no coefficients of {name}; card and excitation are not to blame for it",
+            f"fit without --structure, or fly {name} with steps or a multisine, as `rotorfit plan` designs them",
             name,
         )
     elif status == "too_short":

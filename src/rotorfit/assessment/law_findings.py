@@ -8,7 +8,7 @@ import numpy as np
 from rotorfit.assessment.uncertainty import serving_flights
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
-from rotorfit.core.model import Axis, Predictor, Spread
+from rotorfit.core.model import Axis, Predictor, Spread, first_order_beside
 from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
@@ -117,7 +117,7 @@ def contradicted(axis: Axis) -> Predictor | None:
 
     None where its own law does not contradict it, or is not refuted.
     """
-    beside = axis.plain.law.predictor if axis.plain and axis.plain.law else None
+    beside = first_order_beside(axis)
     if beside is None or axis.status["input"] != "refuted":
         return None
     return beside if axis.predictor is None or axis.predictor.input * beside.input < 0 else None

@@ -23,6 +23,7 @@ _REASONS = {
     "too_short": "the flights are too short for {}, or command it only once",
     "diverged": "the estimation of {} did not converge",
     "refuted": "the flights deny the law of {}",
+    "not_identifiable": "the flights do not tell the input of {} under its law",
     FROZEN: "the pose stands still while {} is commanded",
     _MISREAD: "the card reads {} in a wrong frame",
     _UNNAMED: "the card names no command for {}",

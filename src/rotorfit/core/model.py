@@ -492,11 +492,18 @@ def predictor_of(model: Model, axis: str) -> Predictor:
     return predictor
 
 
+def first_order_beside(axis: Axis) -> Predictor | None:
+    """The first-order law with a delay that is stored beside another law of an axis."""
+    return axis.plain.law.predictor if axis.plain and axis.plain.law else None
+
+
 def unknown_why(model: Model, axis: str) -> str:
     """Status of an axis without numbers, in brackets, and what to do."""
     status = model.axes[axis].status["input"]
     if status == "refuted":
         return "(refuted): the flights deny the law that was asked for; fit without --structure"
+    if status == "not_identifiable" and first_order_beside(model.axes[axis]):
+        return "(not_identifiable): the law that was asked for does not tell its input; fit without --structure"
     return f"({status}): {MEND if status == FROZEN else f'fit a flight that moves it{PLANNED}'}"
 
 

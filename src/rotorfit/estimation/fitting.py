@@ -419,6 +419,8 @@ def _other_structures(
             lawful = given_by_law(axes[axis].structure)
             status = {name: one if name in lawful else "refuted" for name, one in axes[axis].status.items()}
             axes[axis] = replace(axes[axis], status=status)
+        elif axes[axis].status["input"] == "not_excited" and found[axis].excited:  # by its plain law, and its own
+            axes[axis] = replace(axes[axis], status=dict.fromkeys(axes[axis].status, "not_identifiable"))
         if _may_have_no_lag(axes[axis]):
             axes[axis] = united(axes[axis], [plain[axis]])
         if axis in lost:
