@@ -19,6 +19,7 @@ from rotorfit.planning.envelope import (
     DRAWS,
     LIMITS,
     fleet_of,
+    largest_amplitude,
     largest_amplitudes,
     predicted_path,
     refuse_if_outside,
@@ -283,7 +284,9 @@ def test_a_plan_that_leaves_is_refused_with_the_amplitude_that_then_passes() -> 
     factor = float(str(refused.value).split("--amplitude ")[1].split(",")[0])
     smaller = with_amplitudes(plan, {"x": factor})
     assert predicted_path(smaller, vehicles).fits
-    assert not predicted_path(with_amplitudes(plan, {"x": 1.3 * factor}), vehicles).fits
+    assert not predicted_path(with_amplitudes(plan, {"x": 1.03 * factor}), vehicles).fits
+    with pytest.raises(PlanError, match=r"is 1\.07: give --amplitude 1\.07,"):
+        refuse_if_outside(plan, vehicles, envelope, 1.07 / largest_amplitude(plan, vehicles))
 
 
 def test_a_hover_that_drifts_out_is_refused_whatever_the_amplitude() -> None:

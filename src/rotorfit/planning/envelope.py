@@ -343,6 +343,6 @@ def refuse_if_outside(plan: Plan, fleet: Sequence[Draw], envelope: Envelope, amp
 
 
 def _floored(value: float) -> str:
-    """Two significant digits, never more than the value, so that the suggested amplitude fits."""
-    grain = 10.0 ** (np.floor(np.log10(value)) - 1)
-    return f"{np.floor(value / grain + 1e-9) * grain:.2g}"
+    """Three significant digits, never more than the value, so that the suggested amplitude fits."""
+    grain = 10.0 ** (np.floor(np.log10(value)) - 2)
+    return f"{np.floor(value / grain + 1e-9) * grain:.3g}"
