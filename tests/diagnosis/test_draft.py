@@ -166,7 +166,14 @@ def test_a_draft_marks_an_axis_that_only_another_sensor_has(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    "names", [("pos_e", "pos_n", "pos_u"), ("pe", "pn", "pu"), ("east", "north", "up"), ("east", "north", "alt")]
+    "names",
+    [
+        ("pos_e", "pos_n", "pos_u"),
+        ("pe", "pn", "pu"),
+        ("e_pos", "n_pos", "u_pos"),
+        ("east", "north", "up"),
+        ("east", "north", "alt"),
+    ],
 )
 def test_a_draft_knows_east_north_up(names: tuple, tmp_path: Path) -> None:
     text = draft_card(csv_log(**dict(zip("xyz", names, strict=True))))
@@ -183,7 +190,9 @@ def test_a_draft_knows_throttle_and_rudder_beside_sticks(tmp_path: Path) -> None
     assert [card.command[axis].source for axis in ("x", "y", "z", "yaw")] == list(names.values())
 
 
-@pytest.mark.parametrize("names", [("pos_n", "pos_e", "pos_d"), ("pn", "pe", "pd"), ("north", "east", "down")])
+@pytest.mark.parametrize(
+    "names", [("pos_n", "pos_e", "pos_d"), ("pn", "pe", "pd"), ("n_pos", "e_pos", "d_pos"), ("north", "east", "down")]
+)
 def test_a_draft_knows_north_east_down(names: tuple, tmp_path: Path) -> None:
     text = draft_card(csv_log(**dict(zip("xyz", names, strict=True))))
 
@@ -1062,6 +1071,12 @@ def test_a_body_that_is_defined_lying_on_its_side_is_no_wrong_order(tmp_path: Pa
     assert 'quaternion = ["qw", "qx", "qy", "qz"]' in text
     found = findings_of_flight(log, flight_from_log(log, loaded(text, tmp_path)))
     assert "quaternion_order" not in {one.code for one in found}
+
+
+def test_a_word_for_the_turn_counts_before_a_letter_that_may_be_right(tmp_path: Path) -> None:
+    card = loaded(draft_card(csv_log(cmd_x="spF", cmd_y="spR", cmd_z="spD", cmd_yaw="spYawDegS")), tmp_path)
+
+    assert {axis: channel.source for axis, channel in card.command.items()} == {"yaw": "spYawDegS"}
 
 
 def test_a_draft_says_ned_where_the_height_is_named_down() -> None:

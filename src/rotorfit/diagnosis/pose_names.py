@@ -15,6 +15,8 @@ _WHERE = (
 
 _AT = f"{_WHERE}(?:position|pos|p)_?"
 
+_POS = "_?(?:pos|position)"
+
 _OF_A_TOPIC = "(?!.*(?:cmd|command|setpoint|target|goal|desired|ref))(?:.*_)?"
 """Before the fields of a message: its topic, or `field` as rostopic echo -p has it."""
 
@@ -25,8 +27,16 @@ _PLACES: tuple[Mapping[str, str], ...] = (
         for axis in "xyz"
     },
     {axis: f"{_WHERE}(?:position|pos|p)_({i})" for i, axis in enumerate("xyz")},
-    {"x": f"{_AT}(e)|{_WHERE}(east)", "y": f"{_AT}(n)|{_WHERE}(north)", "z": f"{_AT}(u)|{_WHERE}(up|alt|altitude)"},
-    {"x": f"{_AT}(n)|{_WHERE}(north)", "y": f"{_AT}(e)|{_WHERE}(east)", "z": f"{_AT}(d)|{_WHERE}(down)"},
+    {
+        "x": f"{_AT}(e)|(e){_POS}|{_WHERE}(east)",
+        "y": f"{_AT}(n)|(n){_POS}|{_WHERE}(north)",
+        "z": f"{_AT}(u)|(u){_POS}|{_WHERE}(up|alt|altitude)",
+    },
+    {
+        "x": f"{_AT}(n)|(n){_POS}|{_WHERE}(north)",
+        "y": f"{_AT}(e)|(e){_POS}|{_WHERE}(east)",
+        "z": f"{_AT}(d)|(d){_POS}|{_WHERE}(down)",
+    },
 )
 
 _QUATERNION = "(?:orientation|rotation|quaternion|quat|q)_?"

@@ -47,7 +47,9 @@ _SETPOINT = {axis: f"v_?{axis}|(?:velocity|vel|twist|linear)_{axis}|velocity_{i}
 
 _SETPOINT |= {"yaw": "yaw_?speed|yaw_?rate|r"}
 
-_TURN_RATE = "yaw|yaw_?rate|turn|rot|rudder|psi|psi_?dot|r|w|wz|ang_?z|angular_z"
+_TURN = "yaw|yaw_?rate|turn|rot|rudder|psi|psi_?dot"
+
+_TURN_RATE = f"{_TURN}|r|w|wz|ang_?z|angular_z"
 
 _FORWARD, _LEFT, _UP = (
     "lin_?x|linear_x|vf|pitch|theta|forward|fwd",
@@ -279,7 +281,9 @@ def windows_in(log: Log) -> list[tuple[str, str]]:
 def is_down(pose: Recognised) -> bool:
     """Whether the name of the vertical position says that it points down."""
     return "z" in pose.channels and bool(
-        re.search(r"(?:^|_)(?:pd|pos(?:ition)?_d|down)$", name_without_unit(str(pose.channels["z"].source)))
+        re.search(
+            r"(?:^|_)(?:pd|pos(?:ition)?_d|d_pos(?:ition)?|down)$", name_without_unit(str(pose.channels["z"].source))
+        )
     )
 
 
@@ -388,12 +392,13 @@ def _family(table: Table, word: str, speed: str) -> dict[str, str]:
     """Axis to column with a word that means command before or after the axis.
 
     Names that say velocity or rate come first: beside `cmd_vx` and `cmd_yaw_rate`, `cmd_x` and `cmd_yaw` are setpoints
-    of a position controller.
+    of a position controller. So do words for a turn: beside `sp_yaw`, `sp_r` may be to the right.
     """
     axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
     fast = _named(table, _with(word, {axis: f"v(?:el)?_?{axis}" for axis in "xyz"}))
+    turn = _named(table, _with(word, {"yaw": _TURN}))
     rate = _named(table, _with(word, {"yaw": "(?:yaw|turn)_?rate|psi_?dot"}))
-    return _named(table, _with(word, axes)) | (fast if {"x", "y"} <= fast.keys() else {}) | rate
+    return _named(table, _with(word, axes)) | (fast if {"x", "y"} <= fast.keys() else {}) | turn | rate
 
 
 def _with(word: str, axes: Mapping[str, str]) -> dict[str, str]:
