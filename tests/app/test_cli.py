@@ -12,6 +12,7 @@ from pathlib import Path
 
 import click
 import pytest
+import tomli_w
 from click.testing import CliRunner, Result
 
 from files.version_0_1.numbers_of import FOLDER
@@ -457,6 +458,18 @@ def test_figures_are_written_where_they_were_asked_for(folder: Path, tmp_path: P
 
     assert found["figures"]
     assert sorted(found["figures"]) == sorted(str(path) for path in figures.iterdir())
+
+
+def test_a_report_reads_its_logs_by_the_card_given(folder: Path, tmp_path: Path) -> None:
+    own, page = load(folder / "ml.json").card, tmp_path / "report.html"
+    renamed = {**own.raw, "name": "the card given", "command": {**own.raw["command"], "x": "no such column"}}
+    (tmp_path / "c.toml").write_text(tomli_w.dumps(renamed))
+
+    refused = run("report", folder / "ml.json", folder / "second.bag", "-o", page, "--card", tmp_path / "c.toml")
+
+    assert refused.exit_code == 1
+    assert "no such column" in refused.stderr
+    assert not page.exists()
 
 
 def test_a_report_may_be_written_again_without_a_training_log_that_has_changed_or_is_missing(

@@ -317,12 +317,15 @@ def _head(path: Path) -> bytes:
         return file.read(4096).lower()
 
 
-def cases_of(paths: Sequence[str], progress: Progress | None = None) -> tuple[tuple[Case, ...], tuple[str, ...]]:
-    """Scores every model on every log, each by its own card.
+def cases_of(
+    paths: Sequence[str], card: str | None = None, progress: Progress | None = None
+) -> tuple[tuple[Case, ...], tuple[str, ...]]:
+    """Scores every model on every log.
 
     Args:
         paths: A model file, then logs and further models in any order, told apart by content; a log may be
             `LOG@T0:T1`. Without a log nothing is validated.
+        card: Card that reads the logs; None for each model's own.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
@@ -336,7 +339,7 @@ def cases_of(paths: Sequence[str], progress: Progress | None = None) -> tuple[tu
     files = [path for k, path in enumerate(paths) if k == 0 or (Path(path).is_file() and is_model_file(path))]
     models = [load(path) for path in files]
     logs = [parse_log(path) for path in paths if path not in files]
-    return cases_of_models(files, models, logs, progress=progress)
+    return cases_of_models(files, models, logs, card, progress)
 
 
 def cases_of_models(

@@ -73,9 +73,10 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 @click.command()
 @click.argument("paths", metavar="MODEL... LOG...", nargs=-1, required=True)
 @click.option("-o", "output", type=file_at(), metavar="report.html", required=True, help="The page to write.")
+@card_option("the model's own")
 @click.option("--figures", type=file_at(file_okay=False), metavar="DIR", help="Also write figures for a paper here.")
 @JSON
-def report(paths: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
+def report(paths: Sequence[str], output: Path, card: str | None, figures: Path | None, as_json: bool) -> None:
     """Write one self-contained page about a model and its proof, or about several side by side."""
     from rotorfit.app.workflows import cases_of, check_page
     from rotorfit.assessment.evidence import evidence_of
@@ -83,7 +84,7 @@ def report(paths: Sequence[str], output: Path, figures: Path | None, as_json: bo
 
     check_page(output)
     with progress_bar() as progress:
-        cases, left_out = cases_of(paths, progress)
+        cases, left_out = cases_of(paths, card, progress)
     if figures and len(cases) > 1:
         raise click.UsageError("--figures draws one model: give one, or leave it out")
     evidences = evidence_of(cases)
