@@ -4,8 +4,6 @@ A velocity loop asks for the acceleration d = q - b v, where q is the demand g u
 one. Its vehicle gives no more than A, in the direction asked for: v' = d min(1, A / |d|) + c.
 """
 
-from typing import Any
-
 import numpy as np
 
 from rotorfit.core.frames import Array
@@ -14,7 +12,9 @@ from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.general_step import lags_in_world
 
 
-def bounded_motion(step: float, command: Array, yaw: Array, law: Array, velocity: Array, bounds: Array) -> Any:
+def bounded_motion(
+    step: float, command: Array, yaw: Array, law: Array, velocity: Array, bounds: Array
+) -> tuple[Array, Array]:
     """Accelerations asked for on a grid of G times, and what each of A bounds takes off them.
 
     Args:

@@ -141,7 +141,7 @@ def lags_in_world(law: Array) -> bool:
 
     Not beside a second order, whose acceleration turns with the heading.
     """
-    return law.shape[0] == 2 and law[0, WORLD] + law[1, WORLD] > 0 and max(law[0, ORDER], law[1, ORDER]) < 2
+    return bool(law.shape[0] == 2 and law[0, WORLD] + law[1, WORLD] > 0 and max(law[0, ORDER], law[1, ORDER]) < 2)
 
 
 @inner()

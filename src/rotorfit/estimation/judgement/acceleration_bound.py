@@ -107,13 +107,13 @@ def _responses(estimate: Estimate) -> tuple[Array, list[Array]]:
     """Bounds (A,), and the whitened response of each flight to what they take off its axis, (B, K, A)."""
     point, K = estimate.optimum.point, estimate.optimum.point.gain.size
     grids = [_grids(rec, point, j, at) for j, (rec, at) in enumerate(_flights(estimate))]
-    asked = [bounded_motion(STEP, *part, np.array([np.inf]))[0][0] for parts in grids for _, *part in parts]
+    asked = [part.bounded(np.array([np.inf]))[0][0] for parts in grids for part in parts]
     bounds = _bounds(np.concatenate(asked))
     unit = replace(point, gain=np.ones(K), delay=np.zeros(K), structures=(), extra=np.zeros((0, K)))
     out = []
     for j, ((rec, at), parts) in enumerate(zip(_flights(estimate), grids, strict=True)):
-        times = [time for time, *_ in parts]
-        taken = np.concatenate([bounded_motion(STEP, *part, bounds)[1] for _, *part in parts], axis=1)
+        times = [part.time for part in parts]
+        taken = np.concatenate([part.bounded(bounds)[1] for part in parts], axis=1)
         ends = np.cumsum([0, *(time.size for time in times)])
         driven = replace(rec, command_time=np.concatenate(times), command_range=np.stack([ends[:-1], ends[1:]], axis=1))
         columns = [
@@ -127,8 +127,23 @@ def _flights(estimate: Estimate) -> list[tuple[Record, slice]]:
     return list(zip(estimate.records, segments(estimate.records), strict=True))
 
 
-def _grids(rec: Record, point: Point, flight: int, at: slice) -> list[tuple[Array, Array, Array, Array, Array]]:
-    """Of each segment the times of a grid (G,), and what drives it: commands in force, heading, law, velocity."""
+@dataclass(frozen=True)
+class _Grid:
+    """What drives the motion on a grid of times of one segment; see `bounded_motion`."""
+
+    time: Array
+    command: Array
+    yaw: Array
+    law: Array
+    velocity: Array
+
+    def bounded(self, bounds: Array) -> tuple[Array, Array]:
+        """Accelerations asked for, and what the bounds take off them."""
+        return bounded_motion(STEP, self.command, self.yaw, self.law, self.velocity, bounds)
+
+
+def _grids(rec: Record, point: Point, flight: int, at: slice) -> list[_Grid]:
+    """The grid of each segment."""
     command_time, command, command_range = rec.switches
     law = point.laws
     law[:, TRIM] = point.trim[flight]
@@ -141,7 +156,7 @@ def _grids(rec: Record, point: Point, flight: int, at: slice) -> list[tuple[Arra
         ]
         forced = np.column_stack([command[held[k], k] for k in range(point.gain.size)])
         yaw = np.interp(time, rec.pose_time, rec.yaw)
-        out.append((time, forced, yaw, law, point.start[at][s].copy()))
+        out.append(_Grid(time, forced, yaw, law, point.start[at][s].copy()))
     return out
 
 
@@ -149,4 +164,4 @@ def _bounds(asked: Array) -> Array:
     """Bounds that take each of the `SHARES` off accelerations asked for (N,)."""
     size = np.sort(asked)[::-1]
     above = np.cumsum(size) - size * np.arange(1, size.size + 1)
-    return np.interp(np.array(SHARES) * size.sum(), above, size)
+    return np.asarray(np.interp(np.array(SHARES) * size.sum(), above, size))
