@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drifting_pose import DELAY, B, G, drifting
 from flights import flown, steps
 from other_laws import TRUTH, flown_by
 from rotorfit.app.workflows import load_flight
@@ -75,6 +76,24 @@ def test_a_zero_that_cancels_a_pole_takes_no_number_from_a_vehicle_without_eithe
 
     assert LOOP not in [law.structure for law in known.laws]
     assert set(known.status.values()) == {"ok"}
+
+
+def test_a_slow_pole_that_a_zero_may_cancel_leaves_the_first_order_law_its_reading() -> None:
+    """A drift of the pose makes the pair 10 log units likelier; what it leaves is a first-order law all the same."""
+    known = fit([drifting(47)], axes=("z",)).model.axes["z"]
+
+    assert known.structure == LOOP
+    assert known.laws[0].weight > 0.9
+    assert [law.structure for law in known.laws] == [LOOP, PLAIN]
+    assert (
+        missed(known, {"input": G, "damping": B, "delay": DELAY, "steady_gain": G / B, "total_lag": DELAY + 1 / B})
+        == []
+    )
+    assert known.status["damping"] == "not_identifiable"
+
+
+def test_a_loop_that_overshoots_keeps_no_law_beside_it(models: dict[str, Model]) -> None:
+    assert [law.structure for law in models[LOOP].axes["z"].laws] == [LOOP]
 
 
 def test_every_law_that_an_axis_may_have_is_climbed_also_one_that_is_then_left_out() -> None:

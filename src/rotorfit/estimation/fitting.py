@@ -362,6 +362,8 @@ def _averaged(
     chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
         said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]
+        family = family.with_other_reading(said)
+        said += [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws[len(said) :]]
         beside = [one for law, one in zip(family.laws, said, strict=True) if law.estimate is family.plain]
         telling = [place for place, one in enumerate(said) if one.predictor]
         if telling:  # drop laws under which the input may be zero if it is not under another

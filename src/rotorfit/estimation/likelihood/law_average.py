@@ -84,15 +84,41 @@ class Family:
     Attributes:
         plain: Estimate under the first-order law with a delay, tried also from the levels of a likelier law.
         laws: The laws that the data do not rule out, by decreasing weight.
+        beside: The likeliest law without a zero that was left out for its weight, where all that were kept have one.
     """
 
     plain: Estimate
     laws: tuple[Law, ...]
+    beside: Law | None = None
 
     def of(self, laws: Sequence[Law]) -> "Family":
         """The family with only these of its laws, one or more; their weights are normalised."""
         total = sum(law.weight for law in laws)
         return replace(self, laws=tuple(replace(law, weight=law.weight / total) for law in laws))
+
+    def with_other_reading(self, axes: Sequence[Axis]) -> "Family":
+        """The family with the law beside it where the zero may cancel the slow pole; `axes` as under each of its laws.
+
+        What is left of such a law is a first-order one with the damping 1 / lag, and input and damping name the
+        cancelled pole. The pair is a slow drift that the commands happen to explain: its likelihood rests on a few
+        swings of wind and pose, and on the disturbance having their spectrum, which drift of the pose denies.
+        """
+        return self.of((*self.laws, self.beside)) if self.beside and any(map(_may_cancel, axes)) else self
+
+
+def _may_cancel(axis: Axis) -> bool:
+    """Whether the poles of a law with a zero are real and the interval of the zero holds the slow one's time constant.
+
+    The poles of the recorded velocity loops that overshoot are complex.
+    """
+    if axis.predictor is None or "zero" not in axis.ci95:
+        return False
+    lag, (low, high) = axis.predictor.extra["lag"], axis.ci95["zero"]
+    real = 1 - 4 * lag * axis.predictor.damping
+    if real < 0:
+        return False
+    slow = 2 * lag / (1 - real**0.5)
+    return (low or 0.0) <= slow and (high is None or slow <= high)
 
 
 def families(
@@ -247,10 +273,11 @@ def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:
     share = effective_samples(max(laws, key=lambda one: one.optimum.score.log_likelihood))[1]
     evidence = np.array([_evidence(one, share) for one in laws])
     weight = np.exp(evidence - evidence.max())
-    weight[weight < LEAST_WEIGHT * weight.sum()] = 0.0
-    weight /= weight.sum()
-    order = np.argsort(-weight, kind="stable")
-    return Family(plain, tuple(Law(laws[i], float(weight[i])) for i in order if weight[i] > 0))
+    kept = np.where(weight < LEAST_WEIGHT * weight.sum(), 0.0, weight)
+    order, total = np.argsort(-weight, kind="stable"), kept.sum()
+    told = tuple(Law(laws[i], float(kept[i] / total)) for i in order if kept[i] > 0)
+    simpler = next(i for i in order if structure_at(laws[i].optimum, laws[i].place) != LED)
+    return Family(plain, told, None if kept[simpler] > 0 else Law(laws[simpler], float(weight[simpler] / total)))
 
 
 def _evidence(estimate: Estimate, share: float) -> float:
