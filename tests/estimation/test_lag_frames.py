@@ -2,9 +2,11 @@
 
 from functools import cache
 
+import numpy as np
 import pytest
 
 from other_laws import DELAY, LAG, WORLD_LAG, B, G, flown_by
+from rotorfit.assessment.evidence import motion_of_flight
 from rotorfit.core.model import Axis
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
@@ -51,3 +53,11 @@ def test_without_turning_both_are_one_law() -> None:
     for name in PLANE:
         asked = fitted(WORLD_LAG, WORLD_LAG, 0.0).model.axes[name]
         assert asked.input == pytest.approx(fitted(WORLD_LAG, HEADING_LAG, 0.0).model.axes[name].input, rel=1e-6)
+
+
+def test_the_modelled_acceleration_turns_as_the_lag_does() -> None:
+    result = fitted(WORLD_LAG)
+    motion = motion_of_flight(result.model, result.flights[0])
+
+    apart = [motion.acceleration["model"][:, k] - motion.acceleration["measured"][:, k] for k in (0, 1)]
+    assert max(float(np.nanstd(one)) for one in apart) < 0.1  # of 1.2 m/s^2, wind of 0.05

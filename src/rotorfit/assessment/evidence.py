@@ -17,6 +17,7 @@ from rotorfit.assessment.whiteness import LEAST_BLOCKS, autocorrelation, cross_c
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.frequency_response import ResponseComparison
+from rotorfit.core.laws import structure_named
 from rotorfit.core.model import STRUCTURE, Model, Predictor, with_findings
 from rotorfit.core.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.core.residuals import Correlogram, ResidualTests
@@ -28,7 +29,7 @@ from rotorfit.estimation.regression.paper import modelled_acceleration
 LAGS = 2.0
 """Longest lag of the residuals' autocorrelation [s]."""
 
-DRAWN = (STRUCTURE, "first_order_delay_lag")
+DRAWN = (STRUCTURE, "first_order_delay_lag", "first_order_delay_world_lag")
 """Laws whose acceleration is drawn beside the measured one."""
 
 
@@ -251,6 +252,8 @@ def _accelerations(model: Model, flight: Flight) -> dict[str, Array]:
     motion = motion_from_flight(flight)
     points = [model.axes[axis].predictor for axis in AXES]
     acting = [_acting(flight, motion.time, k, point) for k, point in enumerate(points)]
+    if points[0] and points[1] and any(structure_named(model.axes[axis].structure).world for axis in "xy"):
+        acting[:2] = _acting_in_world(flight, motion.time, points[0], points[1])
     gamma = np.array([value for p in points for value in ((p.input, p.damping) if p else (np.nan, np.nan))])
     lines = {"measured": motion.acceleration}
     if _known(model).any():
@@ -295,6 +298,20 @@ def _acting(flight: Flight, time: Array, k: int, point: Predictor | None) -> Arr
     row = np.maximum(np.searchsorted(flight.command_time, time - point.delay, side="right") - 1, 0)
     since = np.maximum(time - point.delay - flight.command_time[row], 0.0)
     return np.asarray(held + (smoothed_until[row] - held) * np.exp(-since / lag))
+
+
+def _acting_in_world(flight: Flight, time: Array, x: Predictor, y: Predictor) -> list[Array]:
+    """`_acting` of x and y, whose lagged acceleration keeps its direction in the world, from one pose to the next."""
+    gain, both = np.array([x.input, y.input]), (x, y)
+    demand = gain * np.column_stack([_held(flight, time - point.delay, k) for k, point in enumerate(both)])
+    lag = np.array([max(point.extra.get("lag", 0.0), 1e-9) for point in both])
+    yaw, keep = np.interp(time, flight.pose_time, flight.yaw), np.exp(-np.diff(time, prepend=time[0])[:, None] / lag)
+    out = demand.copy()
+    for i in range(1, time.size):
+        if np.isfinite(out[i - 1]).all():
+            before = heading_from_world(out[i - 1], yaw[i] - yaw[i - 1])
+            out[i] += (before - demand[i]) * keep[i]
+    return list((out / gain).T)
 
 
 def _held(flight: Flight, time: Array, k: int) -> Array:

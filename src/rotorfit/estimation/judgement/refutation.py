@@ -274,7 +274,7 @@ DISTINCT_PARTS = 1e-9
 """Share of the largest variance below which a difference between parts is none."""
 
 REJECTED = 0.001
-"""p-value below which a test is reported as evidence against the law: a fit has four axes with up to five tests."""
+"""p-value below which a test is reported as evidence against the law: a fit has four axes with up to seven tests."""
 
 CERTAIN = 1e-5
 """p-value below which a test may refute a number."""

@@ -269,14 +269,18 @@ def _moves_as_lagged(led: Estimate) -> bool:
 
 
 def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:
-    """The laws with their posterior weights from equal prior weights; laws whose climb has not ended are left out."""
+    """The laws with their posterior weights, prior weights being equal; laws whose climb has not ended are left out."""
     ended = [one for one in tried if not unfinished(one.optimum, one.place)]
     plain = no_worse(plain, ended)
     if not ended:
         return Family(plain, (Law(plain, 1.0),))
     laws = [plain, *ended]
     share = effective_samples(max(laws, key=lambda one: one.optimum.score.log_likelihood))[1]
-    evidence = np.array([_evidence(one, share) for one in laws])
+    lagged = sum(structure_at(one.optimum, one.place).order == 1 for one in laws)  # two frames share one prior weight
+    evidence = np.array([
+        _evidence(one, share) - (np.log(lagged) if structure_at(one.optimum, one.place).order == 1 else 0.0)
+        for one in laws
+    ])  # fmt: skip
     weight = np.exp(evidence - evidence.max())
     kept = np.where(weight < LEAST_WEIGHT * weight.sum(), 0.0, weight)
     order, total = np.argsort(-weight, kind="stable"), kept.sum()
