@@ -24,6 +24,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.log_span import LogSpan
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.simulation.flight_room import Conditions, fly_commands, log_of_room_flight
 from rotorfit.simulation.vehicle import Vehicle, builtin_vehicles
@@ -38,7 +39,11 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     asked = parser.parse_args()
     for log in sorted((asked.data / "dji-hexarotor").glob("*.mat")):
-        print(f"{log.name:20}", shown(load_flight(str(log), str(log.parent / "card.toml"))), flush=True)
+        print(
+            f"{log.name:20}",
+            shown(load_flight(LogSpan(str(log), (None, None)), str(log.parent / "card.toml"))),
+            flush=True,
+        )
     for name in ("tello", "bebop2"):
         vehicle = builtin_vehicles()[name]
         for seed in (1, 2):
