@@ -301,7 +301,19 @@ def _acting(flight: Flight, time: Array, k: int, point: Predictor | None) -> Arr
 
 
 def _acting_in_world(flight: Flight, time: Array, x: Predictor, y: Predictor) -> list[Array]:
-    """`_acting` of x and y, whose lagged acceleration keeps its direction in the world, from one pose to the next."""
+    """`_acting` of x and y, whose lagged acceleration keeps its direction in the world, from one pose to the next.
+
+    Args:
+        flight: The flight.
+        time: Increasing, shape (N,) [s].
+        x: Predictor of x.
+        y: Predictor of y.
+
+    Returns:
+        Commands of x and y, each of shape (N,) [unit of the command]; NaN outside the segments.
+
+    Source: T q' = g u(t - delay) - q, q turned back by what the heading turns.
+    """
     gain, both = np.array([x.input, y.input]), (x, y)
     demand = gain * np.column_stack([_held(flight, time - point.delay, k) for k, point in enumerate(both)])
     lag = np.array([max(point.extra.get("lag", 0.0), 1e-9) for point in both])

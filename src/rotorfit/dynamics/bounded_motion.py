@@ -40,7 +40,7 @@ def _bounded_motion(
 ) -> None:
     """The compiled loop; fills `asked` and `taken`."""
     K = law.shape[0]
-    y = K - 1
+    y, world = K - 1, lags_in_world(law)
     keep_x = np.exp(-step / law[0, LAG]) if law[0, ORDER] == 1 else 0.0
     keep_y = np.exp(-step / law[y, LAG]) if law[y, ORDER] == 1 else 0.0
     for a in range(bounds.size):
@@ -48,7 +48,7 @@ def _bounded_motion(
         for i in range(command.shape[0]):
             c, s = (np.cos(yaw[i]), np.sin(yaw[i])) if K == 2 else (1.0, 0.0)
             wx, wy = law[0, GAIN] * command[i, 0], (law[y, GAIN] * command[i, y]) if K == 2 else 0.0
-            qc, qs = (c, s) if lags_in_world(law) else (1.0, 0.0)
+            qc, qs = (c, s) if world else (1.0, 0.0)
             lx, ly = (wx, wy) if i == 0 else (qc * qx + qs * qy, qc * qy - qs * qx)
             lx, ly = wx + keep_x * (lx - wx), wy + keep_y * (ly - wy)
             qx, qy = qc * lx - qs * ly, qs * lx + qc * ly

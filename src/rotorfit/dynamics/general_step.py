@@ -41,8 +41,8 @@ COLUMNS = 32
 
 P, V, Q, W, T = 0, 2 * COLUMNS, 4 * COLUMNS, 6 * COLUMNS, 8 * COLUMNS
 """Offsets of the columns in an array of `STATE` numbers, for axis 0 and then axis 1: world position, world velocity,
-lagged demand (see `lags_in_world`; second order: acceleration), demand, trim. A single
-array with constant offsets shows the compiler that nothing overlaps, so that it vectorises over four columns."""
+lagged demand (see `lags_in_world`; second order: acceleration), demand, trim. A single array with constant offsets
+shows the compiler that nothing overlaps, so that it vectorises over four columns."""
 
 STATE = 10 * COLUMNS
 
