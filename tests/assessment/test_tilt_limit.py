@@ -5,7 +5,7 @@ from typing import cast
 
 import pytest
 
-from bounded_flights import BOUND, POINTS, flown
+from limited_flights import BOUND, POINTS, flown
 from flights import fit_as_flown
 from models import demo_card, model_of
 from rotorfit.assessment.advice import findings_of_fit

@@ -131,15 +131,15 @@ def _likelihood(axes: tuple[str, ...], law: str) -> Callable[[], None]:
     return part
 
 
-def _bound() -> None:
-    """The motion under a bounded acceleration, by which the law is tested."""
+def _limits() -> None:
+    """The motion under a limited acceleration, by which the law is tested."""
     import numpy as np
 
     from rotorfit.core.laws import FIRST_ORDER_DELAY, law_of
-    from rotorfit.dynamics.bounded_motion import bounded_motion
+    from rotorfit.dynamics.limited_motion import limited_motion
 
     law = law_of(FIRST_ORDER_DELAY, 4.0, 1.0, 0.1, {})[None]
-    bounded_motion(0.01, np.ones((9, 1)), np.zeros(9), law, np.zeros(1), np.ones(1))
+    limited_motion(0.01, np.ones((9, 1)), np.zeros(9), law, np.zeros(1))
 
 
 def _motion() -> None:
@@ -180,12 +180,12 @@ PARTS: Mapping[str, tuple[float, Callable[[], None]]] = {
     "axis": (2.5, _likelihood(("z",), "first_order_delay")),
     "lag": (1.3, _likelihood(("z",), "second_order")),
     "checks": (1.0, _checks),
-    "bound": (1.0, _bound),
+    "limits": (1.0, _limits),
     "motion": (7.0, _motion),
 }
 """What is compiled, about how long it takes [s], and what calls it."""
 
-FITTING = "prediction", "general law", "plane", "axis", "lag", "checks", "bound"
+FITTING = "prediction", "general law", "plane", "axis", "lag", "checks", "limits"
 VALIDATION = "prediction", "axis", "lag", "checks"
 TRACKING = *FITTING, "motion"
 """What a fit calls of it, what a validation, and what a tracker, which fits, too."""

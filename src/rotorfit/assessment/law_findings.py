@@ -84,7 +84,11 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
             "warning",
             f"{name} does not obey {axis.structure}: {told}",
             f"{', '.join(refuted)} of {name} would differ on another flight by more than {stated}",
-            ("no law that --structure auto tries does better: " if chosen else "fit with --structure auto, or ")
+            (
+                "no law that --structure auto tries does better: "
+                if chosen
+                else f"fit with --structure {_law(axis)}, or "
+            )
             + (SMALLER if _by_size(axis) else "fly commands of the size and speed that the model is wanted for")
             + "; predictions of like motion may still be good: see validate",
             name,
@@ -96,15 +100,20 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
         f"{name} does not quite obey {axis.structure}: {told}",
         f"the intervals of {name} are that much wider: they allow for what the law leaves out",
         ("" if stamped else STAMPS_ALONE)
-        + ("" if chosen else "fit with --structure auto; ")
+        + ("" if chosen else f"fit with --structure {_law(axis)}; ")
         + (SMALLER if _by_size(axis) else "commands of several sizes and speeds in one flight show what is missing"),
         name,
     )
 
 
+def _law(axis: Axis) -> str:
+    """The law to fit next: the one that has what is missing, if it is known."""
+    return "quadratic_drag" if any(one.test == "drag" for one in axis.evidence) else "auto"
+
+
 def _by_size(axis: Axis) -> bool:
-    """Whether small and large commands give different coefficients, or large ones meet a bound."""
-    return any(one.test in ("size", "bound") for one in axis.evidence)
+    """Whether small and large commands give different coefficients, or large ones meet a limit."""
+    return any(one.test in ("size", "bound", "jerk") for one in axis.evidence)
 
 
 def with_size(axis: Axis, remedy: str) -> str:

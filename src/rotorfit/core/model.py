@@ -103,7 +103,8 @@ class Evidence:
     """A test of an axis that contradicts its numbers, and the consequence.
 
     Attributes:
-        test: Short stable name: `follows_command`, `time`, `quarter`, `size`, `speed`, `method`, `bound`.
+        test: Short stable name: `follows_command`, `time`, `quarter`, `size`, `speed`, `method`, `bound`,
+            `jerk`, `drag`.
         strength: The result of the test, one sentence.
         p_value: Probability of a result at least this extreme if the law is right.
         sd: Coefficient or combination to the standard deviation that the test adds, on the scale of its `Spread`.

@@ -18,9 +18,9 @@ import numpy as np
 
 from rotorfit.core.laws import Extra, structure_named
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Evidence, Interval, Model, Spread
-from rotorfit.estimation.judgement.acceleration_bound import bound_of
 from rotorfit.estimation.judgement.cross_check import with_instruments
 from rotorfit.estimation.judgement.each_flight import each_flight
+from rotorfit.estimation.judgement.omitted_terms import omitted_term
 from rotorfit.estimation.judgement.random_effects import RandomEffects, random_effects
 from rotorfit.estimation.judgement.refutation import doubt
 from rotorfit.estimation.judgement.residual_variance import weighted_innovations, widening
@@ -108,8 +108,10 @@ def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[di
     against = None
     if tested:
         method = with_instruments(estimate, weighted, wanted, errors)
-        bound = bound_of(estimate, weighted, errors)
-        against = doubt(estimate.records, weighted, estimate.place, errors, wider, method, estimate.loop.closed, bound)
+        omitted = omitted_term(estimate, weighted, errors)
+        against = doubt(
+            estimate.records, weighted, estimate.place, errors, wider, method, estimate.loop.closed, omitted
+        )
     alone = _each(estimate, list(wanted)) if len(estimate.records) > 1 else {}
     out = {}
     for part, one in wanted.items():

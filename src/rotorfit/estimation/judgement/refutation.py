@@ -10,7 +10,7 @@ parts selected by what was flown show it:
 - size: small or large commands in the last second; limits of acceleration, braking, dead zones;
 - speed: slow or fast changes of the command; dynamics that the law lacks.
 
-A bound on the acceleration has a test of its own (`acceleration_bound`).
+Limits of the acceleration and a drag of the square have a test of their own (`omitted_terms`).
 
 Since parts are selected by what preceded an innovation, they are independent in a feedback loop, too. Parts of several
 flights are compared within each flight only: by how much flights differ is another question (`random_effects`).
@@ -30,7 +30,7 @@ import numpy as np
 
 from rotorfit.core.frames import POSE_UNITS, Array, Indices, Mask
 from rotorfit.core.model import Evidence
-from rotorfit.estimation.judgement.acceleration_bound import Bound
+from rotorfit.estimation.judgement.omitted_terms import OmittedTerm
 from rotorfit.estimation.judgement.random_effects import excess_spread
 from rotorfit.estimation.judgement.residual_variance import Ratio, Weighted, orthonormal
 from rotorfit.estimation.judgement.spread_prior import spread_scale
@@ -306,7 +306,7 @@ def doubt(
     wider: Mapping[str, float],
     method: Mapping[str, Homogeneity],
     closed: bool,
-    bound: Bound | None = None,
+    omitted: OmittedTerm | None = None,
 ) -> Doubt:
     """All tests of the law of axis k.
 
@@ -319,7 +319,7 @@ def doubt(
         method: Agreement with another method, by name.
         closed: Whether that method stands in for the likelihood, which a feedback loop biases: then its error is not
             multiplied by the lack of fit, most of which is the loop's.
-        bound: The bound on the acceleration that the innovations speak for most.
+        omitted: The likeliest term that the law leaves out.
     """
     names = list(errors)
     labels = cuts(records, weighted, k)
@@ -339,14 +339,14 @@ def doubt(
         parts["method"] = dict(method)
 
     def widened(level: float) -> dict[str, float]:
-        """Factors with a bound on the acceleration whose p-value is below a level."""
-        taken = bound.sd if bound and bound.p_value < level else {}
+        """Factors with an omitted term whose p-value is below a level."""
+        taken = omitted.sd if omitted and omitted.p_value < level else {}
         law = {n: np.sqrt(unfit) * np.hypot(1.0, max(apart[n], taken.get(n, 0.0))) for n in names}
         return {n: float(max(factor, np.hypot(1.0, looped.get(n, 0.0)))) for n, factor in law.items()}
 
     evidence = [_between_parts(cut, found, errors) for cut, found in parts.items() if found]
-    if bound:
-        evidence.append(_bounded(bound, records[0].axes[k], errors))
+    if omitted:
+        evidence.append(_omitted(omitted, records[0].axes[k], errors))
     if rest:
         evidence.append(_following(rest, errors))
     told = sorted((one for one in evidence if one.p_value < REJECTED), key=lambda one: one.p_value)
@@ -386,13 +386,18 @@ INDEPENDENT = 3
 """About how many of the quantities of an axis are independent."""
 
 
-def _bounded(bound: Bound, axis: str, errors: Mapping[str, float]) -> Evidence:
+def _omitted(term: OmittedTerm, axis: str, errors: Mapping[str, float]) -> Evidence:
+    unit = POSE_UNITS[axis]
+    cause = {
+        "bound": f"an acceleration of no more than about {term.size:.2g} {unit}/s^2",
+        "jerk": f"a jerk of no more than about {term.size:.2g} {unit}/s^3",
+        "drag": f"a drag of the square of the speed, about {term.size:.2g} 1/{unit}",
+    }[term.kind]
     return Evidence(
-        "bound",
-        f"the residual is that of an acceleration of no more than about {bound.acceleration:.2g} "
-        f"{POSE_UNITS[axis]}/s^2: chi-square {bound.statistic:.0f} of 1",
-        bound.p_value,
-        {name: sd * errors[name] for name, sd in bound.sd.items() if sd > 0},
+        term.kind,
+        f"the residual is that of {cause}: chi-square {term.statistic:.0f} of 1",
+        term.p_value,
+        {name: sd * errors[name] for name, sd in term.sd.items() if sd > 0},
     )
 
 

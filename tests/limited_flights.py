@@ -1,4 +1,4 @@
-"""Flights of a velocity-commanded vehicle whose horizontal acceleration may have a bound, by its own integration."""
+"""Flights of a velocity-commanded vehicle with a limited acceleration, or a drag of the square, by its own integration."""
 
 import math
 from functools import cache
@@ -19,8 +19,24 @@ STEP = 0.01
 
 
 @cache
-def flown(size: float, bound: float = math.inf, wind: float = 0.0, duration: float = 60.0) -> Flight:
-    """Steps of x and y of so many m/s^2, by a vehicle that turns and accelerates by no more than a bound, in gusts."""
+def flown(
+    size: float,
+    bound: float = math.inf,
+    wind: float = 0.0,
+    duration: float = 60.0,
+    jerk: float = math.inf,
+    drag: float = 0.0,
+) -> Flight:
+    """Steps of x and y, in gusts, by a vehicle that turns.
+
+    Args:
+        size: Of the largest step.
+        bound: Largest acceleration [m/s^2].
+        wind: Standard deviation of the gusts [m/s^2].
+        duration: Of the flight [s].
+        jerk: Largest change of the acceleration [m/s^3].
+        drag: Coefficient of the square of the speed [1/m].
+    """
     rng = np.random.default_rng(1)
     time = np.arange(0.0, duration, STEP)
     command = np.zeros((len(time), 4))
@@ -30,15 +46,18 @@ def flown(size: float, bound: float = math.inf, wind: float = 0.0, duration: flo
     points = [(g, b, round(tau / STEP)) for g, b, tau in POINTS.values()]
     damping = np.array([b for _, b, _ in points])
     yaw = 1.5 * np.sin(0.4 * time)
-    velocity, position, gust = np.zeros((len(time), 2)), np.zeros((len(time), 2)), np.zeros(2)
+    velocity, position, given, gust = np.zeros((len(time), 2)), np.zeros((len(time), 2)), np.zeros(2), np.zeros(2)
     for i in range(1, len(time)):
         c, s = math.cos(yaw[i]), math.sin(yaw[i])
         turn = np.array([[c, -s], [s, c]])
         wanted = np.array([g * command[max(i - 1 - late, 0), k] for k, (g, _, late) in enumerate(points)])
-        wanted -= damping * (velocity[i - 1] @ turn)
+        moved = velocity[i - 1] @ turn
+        wanted -= damping * moved
         wanted *= min(1.0, bound / max(float(np.hypot(*wanted)), 1e-9))
+        change = turn @ (wanted - drag * np.hypot(*moved) * moved) - given
+        given = given + change * min(1.0, jerk * STEP / max(float(np.hypot(*change)), 1e-9))
         gust += -gust * STEP + wind * math.sqrt(2 * STEP) * rng.standard_normal(2)
-        velocity[i] = velocity[i - 1] + STEP * (turn @ wanted + gust)
+        velocity[i] = velocity[i - 1] + STEP * (given + gust)
         position[i] = position[i - 1] + STEP * (velocity[i] + velocity[i - 1]) / 2
     pose = np.column_stack([position, np.zeros(len(time)), yaw])[::3]
     pose[:, :2] += 0.002 * rng.standard_normal((len(pose), 2))

@@ -1,0 +1,225 @@
+"""Test of the law against what it leaves out: a bound on the acceleration, one on its change, a drag of the square.
+
+A vehicle that obeys the law and, one time, such a term has innovations that contain the response to the term, less
+what the fit has absorbed of it. Regressed on that response, they give a factor: 0 without the term; 1 with a limit of
+the size that is tried; of drag, the coefficient in units of b over the root mean square of the speed. What the fit has
+absorbed is known, too: the estimates are off by minus the factor times their weights' sum over the response. The sizes
+of the limits are not known, so several are tried, each of which takes off another share of the acceleration.
+
+General tests of the law hardly see such terms, because lag and damping take their place, and their intervals exclude
+the vehicle's values in small motion.
+
+Source: Z. Griliches, Journal of Farm Economics 39 (1957), pp. 8-20 (the bias by what a regression leaves out); T. S.
+Breusch, A. R. Pagan, Review of Economic Studies 47 (1980), pp. 239-253 (tests of a term that is left out); W. K. Newey,
+K. D. West, Econometrica 55 (1987), pp. 703-708 (the variance of the factor).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, TRIM
+from rotorfit.dynamics.limited_motion import limited_motion
+from rotorfit.estimation.judgement.residual_variance import Weighted, orthonormal
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.block_response import response
+from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.likelihood import segments, whiten
+from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.estimation.regression.paper import newey_west
+
+BOUND_SHARES = 0.005, 0.01, 0.02, 0.04, 0.08
+"""Shares of the acceleration asked for that the bounds take off: less does no harm, more is seen by other tests."""
+
+JERK_SHARES = 0.05, 0.1, 0.2, 0.4
+"""The same of the bounds on its change, by which it is late more often than it is missing."""
+
+JERKS = 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0
+"""Changes, in root mean squares of the acceleration asked for in a second, between which those shares lie."""
+
+STEP = 0.01
+"""Step of the grid [s]."""
+
+MEMORY = 1.0
+"""Time over which contributions to the score are correlated [s]."""
+
+
+@dataclass(frozen=True)
+class OmittedTerm:
+    """The term that is likeliest of those that the law leaves out.
+
+    Attributes:
+        kind: "bound" on the acceleration, "jerk" for one on its change, or "drag" of the square of the speed.
+        size: Of a limit [m/s^2 or rad/s^2; m/s^3 or rad/s^3 of "jerk"]; of "drag", its coefficient [1/m or 1/rad].
+        statistic: Square of its factor over the variance; 0 where the innovations have the opposite sign.
+        p_value: Probability of a larger factor of this sign for any of the terms if there is none.
+        sd: Quantity to the standard deviation that the term adds to its estimate, in its standard errors.
+    """
+
+    kind: str
+    size: float
+    statistic: float
+    p_value: float
+    sd: Mapping[str, float]
+
+
+def omitted_term(estimate: Estimate, weighted: Sequence[Weighted], errors: Mapping[str, float]) -> OmittedTerm | None:
+    """The likeliest term that the law of an axis leaves out.
+
+    Args:
+        estimate: Estimate by the likelihood.
+        weighted: Its innovations and weights, in the order of `errors`.
+        errors: Standard errors of its quantities on their scales, by name.
+
+    Returns:
+        None under laws other than those of the first order, and where the data would show none of the terms.
+    """
+    from scipy.special import ndtr
+
+    structures = estimate.optimum.point.structures or (FIRST_ORDER_DELAY,)
+    if any(not one.linear or one.kicks or one.order > 1 for one in structures):
+        return None
+    terms = list(_terms([_grids(*one) for one in _flights(estimate)]))
+    responses = _responses(estimate, terms)
+    left = [_left(one, rows) for one, rows in zip(weighted, responses, strict=True)]
+    power = sum(np.sum(rows**2, axis=(0, 1)) for rows in left)
+    seen = power > 1  # of the others not even a factor of 1 is beyond one standard error
+    if not seen.any():
+        return None
+    terms, power = [one for one, some in zip(terms, seen, strict=True) if some], power[seen]
+    responses, left = [rows[:, :, seen] for rows in responses], [rows[:, :, seen] for rows in left]
+    pairs = list(zip(weighted, left, strict=True))
+    factor = sum(np.einsum("bka,bk->a", rows, one.innovation) for one, rows in pairs) / power
+    error = np.sqrt(np.maximum(sum(_variance(one, rows, factor) for one, rows in pairs), power)) / power
+    z = factor / error
+    off = [0.0 if one.kind == "drag" else f - 1 for one, f in zip(terms, factor, strict=True)]  # a limit acts as it is
+    a = int(np.argmax(z * np.abs(z) - (off / error) ** 2))
+    bias = sum(np.einsum("bk,bkq->q", rows[..., a], one.weight) for one, rows in zip(weighted, responses, strict=True))
+    taken = float(np.sqrt(max(factor[a] ** 2 - error[a] ** 2, 0.0)))
+    return OmittedTerm(
+        terms[a].kind,
+        terms[a].size * (float(factor[a]) if terms[a].kind == "drag" else 1.0),
+        max(float(z[a]), 0.0) ** 2,
+        min(1.0, z.size * float(ndtr(-z[a]))),
+        {name: taken * abs(float(bias[q])) / errors[name] for q, name in enumerate(errors)},
+    )
+
+
+def _left(one: Weighted, rows: Array) -> Array:
+    """What the fit has not absorbed of the responses (B, K, A) of one flight."""
+    flat, basis = rows.reshape(-1, rows.shape[-1]), orthonormal(one.span.reshape(-1, one.span.shape[-1]))
+    return np.asarray(flat - basis @ (basis.T @ flat)).reshape(rows.shape)
+
+
+def _variance(one: Weighted, rows: Array, factor: Array) -> Array:
+    """Variance of the score of each term (A,), from what its factor leaves of the innovations of one flight."""
+    score = np.einsum("bka,bka->ba", rows, one.innovation[:, :, None] - factor * rows)
+    return newey_west(one.time, score - score.mean(axis=0), MEMORY).diagonal()
+
+
+@dataclass(frozen=True)
+class _Term:
+    """A term with the factor 1.
+
+    Attributes:
+        kind: As of `OmittedTerm`.
+        size: Likewise.
+        added: What it adds to the acceleration of each flight on the grids of its segments, one after the other, in
+            the heading frame, (G, K) each.
+    """
+
+    kind: str
+    size: float
+    added: list[Array]
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """What drives the motion on a grid of times of one segment; see `limited_motion`."""
+
+    time: Array
+    command: Array
+    yaw: Array
+    law: Array
+    velocity: Array
+
+    def limited(self, acceleration: float = np.inf, jerk: float = np.inf) -> tuple[Array, Array, Array]:
+        """Accelerations asked for, what the limits add to them, and velocities."""
+        return limited_motion(STEP, self.command, self.yaw, self.law, self.velocity, acceleration, jerk)
+
+
+def _terms(flights: Sequence[Sequence[_Grid]]) -> Iterator[_Term]:
+    """The terms that are tried, from the grids of each flight."""
+
+    def added(acceleration: float = np.inf, jerk: float = np.inf) -> list[Array]:
+        return [np.concatenate([part.limited(acceleration, jerk)[1] for part in parts]) for parts in flights]
+
+    free = [[part.limited() for part in parts] for parts in flights]
+    asked = np.concatenate([one[0] for parts in free for one in parts])
+    speed = float(np.sqrt(np.mean(np.concatenate([np.sum(one[2] ** 2, axis=1) for parts in free for one in parts]))))
+    if not asked.any() or not speed:
+        return
+    for bound in _bounds(asked):
+        yield _Term("bound", bound, added(acceleration=bound))
+    jerks = float(np.sqrt(np.mean(asked**2))) * np.array(JERKS)
+    shares = [sum(np.sum(np.linalg.norm(one, axis=1)) for one in added(jerk=jerk)) / asked.sum() for jerk in jerks]
+    for jerk in np.exp(np.interp(JERK_SHARES, shares[::-1], np.log(jerks[::-1]))):
+        yield _Term("jerk", float(jerk), added(jerk=float(jerk)))
+    damping = flights[0][0].law[:, DAMPING]
+    by_speed = [[-damping * np.linalg.norm(v, axis=1)[:, None] / speed * v for *_, v in parts] for parts in free]
+    yield _Term("drag", float(np.mean(damping)) / speed, [np.concatenate(parts) for parts in by_speed])
+
+
+def _bounds(asked: Array) -> list[float]:
+    """Bounds that take each of the `BOUND_SHARES` off accelerations asked for (N,)."""
+    size = np.sort(asked)[::-1]
+    above = np.cumsum(size) - size * np.arange(1, size.size + 1)
+    return [float(one) for one in np.interp(np.array(BOUND_SHARES) * size.sum(), above, size)]
+
+
+def _responses(estimate: Estimate, terms: Sequence[_Term]) -> list[Array]:
+    """The whitened response of each flight to what the terms add on its axis, (B, K, A)."""
+    point, K = estimate.optimum.point, estimate.optimum.point.gain.size
+    unit = replace(point, gain=np.ones(K), delay=np.zeros(K), structures=(), extra=np.zeros((0, K)))
+    out = []
+    for j, (rec, _, _, at) in enumerate(_flights(estimate)):
+        times = _times(rec)
+        ends = np.cumsum([0, *(time.size for time in times)])
+        driven = replace(rec, command_time=np.concatenate(times), command_range=np.stack([ends[:-1], ends[1:]], axis=1))
+        columns = [
+            response(replace(driven, command=one.added[j]), unit, j, point.start[at])[1][:, estimate.place]
+            for one in terms
+        ]
+        rows = np.stack(columns, axis=1) if columns else np.zeros((len(rec.block_time), 0, K))
+        out.append(whiten(rec, rows, point.levels)[0].transpose(0, 2, 1))
+    return out
+
+
+def _flights(estimate: Estimate) -> list[tuple[Record, Point, int, slice]]:
+    """Each flight, the point, and the flight's rows of the trims and of the starts."""
+    pairs = zip(estimate.records, segments(estimate.records), strict=True)
+    return [(rec, estimate.optimum.point, j, at) for j, (rec, at) in enumerate(pairs)]
+
+
+def _times(rec: Record) -> list[Array]:
+    """The times of the grid of each segment."""
+    ends = rec.pose_time[rec.pose_range[:, 1] - 1]
+    return [np.arange(start, end, STEP) for start, end in zip(rec.starts, ends, strict=True)]
+
+
+def _grids(rec: Record, point: Point, flight: int, at: slice) -> list[_Grid]:
+    """The grid of each segment."""
+    command_time, command, command_range = rec.switches
+    law = point.laws
+    law[:, TRIM] = point.trim[flight]
+    out = []
+    for s, ((first, last), time) in enumerate(zip(command_range, _times(rec), strict=True)):
+        held = [
+            np.maximum(np.searchsorted(command_time[first:last], time - delay, side="right") - 1, 0) + first
+            for delay in point.delay
+        ]
+        forced = np.column_stack([command[held[k], k] for k in range(point.gain.size)])
+        out.append(_Grid(time, forced, np.interp(time, rec.pose_time, rec.yaw), law, point.start[at][s].copy()))
+    return out
