@@ -9,6 +9,10 @@ own. Its law is that of small motion. For each vehicle and size of the steps: th
 over that of the acceleration asked for, the share of the intervals of "the vehicle" (input, damping, delay, x and y)
 that hold the law's values, and on how many axes the fit tells of the term, or of another one. The card has no tilt
 limit. Seeds: 0 to N - 1.
+
+Then a velocity loop with an integral part, a = 1.2 (u - v) + I, I' = 0.45 (u - v), behind a lag of 0.15 s, whose final
+speed is the command: on how many axes the interval of the steady gain holds 1, the fit tells of a slow part, or says
+that the final speed is extrapolated; and of the latter, in how many of the ranges that it gives 1 is.
 """
 
 import argparse
@@ -19,6 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
+from rotorfit.assessment.law_findings import final_speed_findings
 from rotorfit.core.card import Card
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array
@@ -76,6 +81,48 @@ def main() -> None:
                 f"{len(held):3} {told:5} of {2 * asked.flights:2} {others:5}",
                 flush=True,
             )
+    integrating(asked.flights, card)
+
+
+def integrating(flights: int, card: Card) -> None:
+    """Prints what is told of a loop with an integral part, by the longest of its steps."""
+    print("\nlongest step  holds 1  slow part told  extrapolation told, 1 in its range")
+    for longest in (1.8, 3.0, 9.0):
+        held = told = said = inside = 0
+        for seed in range(flights):
+            fitted = fit([looped(longest, seed, card)], axes=("x", "y"))
+            for name in ("x", "y"):
+                axis = fitted.model.axes[name]
+                low, high = axis.combinations["steady_gain"].ci95
+                held += (low is None or low <= 1) and (high is None or high >= 1)
+                told += any(one.test == "slow" for one in axis.evidence)
+                for one in final_speed_findings(name, axis, fitted.estimates[name]):
+                    low, high = (float(end) for end in one.evidence.split("tell ")[1].split(" to "))
+                    said, inside = said + 1, inside + (low <= 1 <= high)
+        print(f"{longest:10.1f} s {held:4} of {2 * flights} {told:9} of {2 * flights} {said:17}, {inside}", flush=True)
+
+
+def looped(longest: float, seed: int, card: Card) -> Flight:
+    """A flight of steps by a velocity loop with an integral part."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 2 * DURATION, STEP)
+    command = np.zeros((time.size, 4))
+    for k in (0, 1):
+        level = rng.choice([-1.0, 1.0], 200) * rng.uniform(0.4, 1.0, 200)
+        command[:, k] = level[np.searchsorted(np.cumsum(rng.uniform(0.8, longest, 200)), time)]
+    late = np.round(DELAY / STEP).astype(int)
+    yaw = 1.5 * np.sin(0.4 * time)
+    velocity, position = np.zeros((time.size, 2)), np.zeros((time.size, 2))
+    integral, tilt, gust = np.zeros(2), np.zeros(2), np.zeros(2)
+    for i in range(1, time.size):
+        turn = np.array([[np.cos(yaw[i]), -np.sin(yaw[i])], [np.sin(yaw[i]), np.cos(yaw[i])]])
+        error = turn @ command[np.maximum(i - 1 - late, 0), (0, 1)] - velocity[i - 1]
+        integral += STEP * 0.45 * error
+        tilt += STEP * (1.2 * error + integral - tilt) / 0.15
+        gust += -gust * STEP + 0.1 * np.sqrt(2 * STEP) * rng.standard_normal(2)
+        velocity[i] = velocity[i - 1] + STEP * (tilt + gust)
+        position[i] = position[i - 1] + STEP * (velocity[i] + velocity[i - 1]) / 2
+    return assembled(time, command, position + 0.002 * rng.standard_normal(position.shape), yaw, card)
 
 
 def flown(vehicle: Vehicle, size: float, seed: int, card: Card) -> tuple[Flight, float]:
@@ -108,7 +155,8 @@ def flown(vehicle: Vehicle, size: float, seed: int, card: Card) -> tuple[Flight,
 def assembled(time: Array, command: Array, position: Array, yaw: Array, card: Card) -> Flight:
     places = np.column_stack([position, np.zeros(time.size)])[::3]
     return Flight(
-        path="", sha256="", card=card, span=(0.0, DURATION), axes=AXES, command_time=time, command=command,
+        path="", sha256="", card=card, span=(0.0, float(time[-1]) + STEP), axes=AXES,
+        command_time=time, command=command,
         pose_time=time[::3], position=np.ascontiguousarray(places), yaw=yaw[::3].copy(),
         segments=(Segment(0.0, float(time[-1])),),
     )  # fmt: skip

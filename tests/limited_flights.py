@@ -1,4 +1,4 @@
-"""Flights of a velocity-commanded vehicle with a limited acceleration, or a drag of the square, by its own integration."""
+"""Flights of velocity-commanded vehicles that the law leaves something out of, by an integration of their own."""
 
 import math
 from functools import cache
@@ -62,3 +62,28 @@ def flown(
     pose = np.column_stack([position, np.zeros(len(time)), yaw])[::3]
     pose[:, :2] += 0.002 * rng.standard_normal((len(pose), 2))
     return by_hand(time[::3], pose, time, command)
+
+
+@cache
+def looped(longest: float, duration: float = 60.0) -> Flight:
+    """Steps of x, of up to so many seconds, by a velocity loop with an integral part behind a lag, in gusts.
+
+    Its final speed is the command.
+    """
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, duration, STEP)
+    level = rng.choice([-1.0, 1.0], 200) * rng.uniform(0.4, 1.0, 200)
+    command = np.zeros((len(time), 4))
+    command[:, 0] = level[np.searchsorted(np.cumsum(rng.uniform(0.8, longest, 200)), time)]
+    velocity = position = integral = tilt = gust = 0.0
+    pose = np.zeros((len(time), 4))
+    for i in range(1, len(time)):
+        error = command[max(i - 11, 0), 0] - velocity
+        integral += STEP * 0.45 * error
+        tilt += STEP * (1.2 * error + integral - tilt) / 0.15
+        gust += -gust * STEP + 0.05 * math.sqrt(2 * STEP) * rng.standard_normal()
+        velocity += STEP * (tilt + gust)
+        position += STEP * velocity
+        pose[i, 0] = position
+    pose[:, 0] += 0.002 * rng.standard_normal(len(time))
+    return by_hand(time[::3], pose[::3], time, command)

@@ -20,7 +20,7 @@ from rotorfit.reporting.reproduce import card_text
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
 from rotorfit.simulation.published import PUBLISHED
 
-CODES = {"gain_contradicts_limit", "axes_differ", "published_sets_disagree"}
+CODES = {"gain_contradicts_limit", "final_speed_above_command", "axes_differ", "published_sets_disagree"}
 
 
 def found(model: Model) -> dict[tuple[str, str | None], Finding]:
@@ -122,6 +122,15 @@ def test_of_commands_in_si_the_scale_is_told_and_for_a_tilt_the_limit_that_it_wo
     )
     assert "as if the command were 2.00 times what was logged" in told["gain_contradicts_limit", "z"].evidence
     assert "tilt" not in told["gain_contradicts_limit", "z"].evidence
+
+
+def test_no_velocity_loop_ends_above_what_is_commanded() -> None:
+    card = demo_card("", x="{ from = 'a', meaning = 'tilt' }", z="{ from = 'b', unit = 'm/s' }")
+    for ratio, speaks in ((1.1, True), (0.9, False), (1.0, False), (1.5, False)):
+        told = found(model_of({"x": (1.1 * 9.81, 1.0, 0.1), "z": (2 * ratio, 2.0, 0.1)}, card, error=0.01))
+        assert (("final_speed_above_command", "z") in told) == speaks, ratio
+        assert ("final_speed_above_command", "x") not in told
+    assert not found(model_of({"z": (2.2, 2.0, 0.1)}, card, error=0.2))
 
 
 def test_without_limits_nothing_contradicts_them() -> None:
@@ -228,7 +237,8 @@ def test_of_an_unknown_vehicle_or_a_model_without_numbers_nothing_is_said() -> N
 def test_every_finding_is_whole_sentences_in_one_line_each_and_its_margins_are_ratios() -> None:
     model = pair((9.0, 3.0), (0.1, 0.6))
     card = demo_card("tilt = { value = 10, unit = 'deg' }", "Bebop 2")
-    told = findings_of_settings(replace(model, card=card))
+    above = model_of({"z": (2.2, 2.0, 0.1)}, demo_card("", z="{ from = 'b', unit = 'm/s' }"), error=0.01)
+    told = (*findings_of_settings(replace(model, card=card)), *findings_of_settings(above))
 
     assert {finding.code for finding in told} == CODES
     for finding in told:

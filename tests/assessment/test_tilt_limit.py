@@ -5,8 +5,8 @@ from typing import cast
 
 import pytest
 
-from limited_flights import BOUND, POINTS, flown
 from flights import fit_as_flown
+from limited_flights import BOUND, POINTS, flown
 from models import demo_card, model_of
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.tilt_limit import findings_of_tilt

@@ -11,7 +11,13 @@ import numpy as np
 
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
 from rotorfit.assessment.frequency.loop import seem_to_answer
-from rotorfit.assessment.law_findings import contradicted, disagreement_findings, law_findings, with_size
+from rotorfit.assessment.law_findings import (
+    contradicted,
+    disagreement_findings,
+    final_speed_findings,
+    law_findings,
+    with_size,
+)
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings
 from rotorfit.assessment.tilt_limit import findings_of_tilt
@@ -180,6 +186,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += law_findings(name, axis, stamped)
         if axis.predictor and name in fit.estimates and name not in wrong:
             found += _slow_findings(name, k, axis, flights)
+            found += final_speed_findings(name, axis, fit.estimates[name])
             found += _feedback_findings(name, fit.estimates[name])
             found += changed
             if name in fit.braking:

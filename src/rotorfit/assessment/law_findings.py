@@ -1,5 +1,6 @@
 """Fit -> findings: evidence against the law of an axis, and the flights that differ from the others."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -8,8 +9,9 @@ import numpy as np
 from rotorfit.assessment.uncertainty import serving_flights
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
-from rotorfit.core.model import Axis, Predictor, Spread, first_order_beside
+from rotorfit.core.model import NORMAL, Axis, Predictor, Spread, first_order_beside
 from rotorfit.core.results import Fit
+from rotorfit.estimation.judgement.omitted_terms import SLOW, freed_steady_gain
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
 
@@ -32,11 +34,21 @@ STAMPS_ALONE = (
     "part of a row each time, which alone can look like this; then "
 )
 
+LEAST_FREED, FREED_BEYOND = 0.05, 1.5
+"""Half width of the interval of a steady gain (logarithm) without its extrapolation from which on that is told, and by
+what factor it is wider."""
+
 SMALLER = (
     "fit flights whose commands all have the size that the model is wanted for: smaller ones where large ones reach a "
     "limit of the vehicle, as of its tilt, which none of the structures has"
 )
 """Remedy where small and large commands do not agree: no law that is tried bounds the acceleration."""
+
+LASTING = (
+    f"fly commands of the length that the model is wanted for, of {3 * SLOW:.0f} s and more where final speeds matter: "
+    "none of the structures has the integral part of a velocity loop behind a lag"
+)
+"""Remedy where commands that last are answered otherwise than short ones."""
 
 WITHIN_ONE = (
     "if the answer depends on the size or speed of the commands, the flights differ like this, too: a flight with "
@@ -89,7 +101,7 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
                 if chosen
                 else f"fit with --structure {_law(axis)}, or "
             )
-            + (SMALLER if _by_size(axis) else "fly commands of the size and speed that the model is wanted for")
+            + _flights(axis, "fly commands of the size and speed that the model is wanted for")
             + "; predictions of like motion may still be good: see validate",
             name,
         )
@@ -101,7 +113,7 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
         f"the intervals of {name} are that much wider: they allow for what the law leaves out",
         ("" if stamped else STAMPS_ALONE)
         + ("" if chosen else f"fit with --structure {_law(axis)}; ")
-        + (SMALLER if _by_size(axis) else "commands of several sizes and speeds in one flight show what is missing"),
+        + _flights(axis, "commands of several sizes and speeds in one flight show what is missing"),
         name,
     )
 
@@ -109,6 +121,13 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
 def _law(axis: Axis) -> str:
     """The law to fit next: the one that has what is missing, if it is known."""
     return "quadratic_drag" if any(one.test == "drag" for one in axis.evidence) else "auto"
+
+
+def _flights(axis: Axis, otherwise: str) -> str:
+    """The flights that help: smaller commands, longer ones, or otherwise others."""
+    if _by_size(axis):
+        return SMALLER
+    return LASTING if any(one.test == "slow" for one in axis.evidence) else otherwise
 
 
 def _by_size(axis: Axis) -> bool:
@@ -149,6 +168,39 @@ def _rejected(name: str, axis: Axis) -> Iterator[Finding]:
         f"the intervals of {name} hold as far as {chosen.structure} does; what it leaves out may be in them",
         f"fit with --structure {likeliest.structure}, too, and compare; a longer flight, or several, decides by its "
         "predictions",
+        name,
+    )
+
+
+def final_speed_findings(name: str, axis: Axis, estimate: Estimate) -> Iterator[Finding]:
+    """A steady gain that the law extrapolates: commands that last may be answered otherwise, and hardly any were flown.
+
+    Args:
+        name: Name of the axis.
+        axis: The axis as fitted.
+        estimate: Its estimate by the likelihood.
+    """
+    told, lag = axis.combinations.get("steady_gain"), axis.combinations.get("total_lag")
+    if told is None or lag is None or None in told.ci95 or not 0 < lag.value < SLOW:
+        return
+    if any(one.test == "slow" for one in axis.evidence) or "refuted" in axis.status.values():
+        return
+    freed = freed_steady_gain(estimate)
+    if freed is None:
+        return
+    low, high = (float(end) for end in told.ci95 if end is not None)
+    half = NORMAL * freed[1]
+    if low * high <= 0 or half < max(LEAST_FREED, FREED_BEYOND * abs(math.log(high / low)) / 2):
+        return
+    ends = sorted(told.value * math.exp(freed[0] + end) for end in (-half, half))
+    yield Finding(
+        "final_speed_extrapolated",
+        "info",
+        f"the steady gain of {name}, {told.value:.3g}, supposes that commands that last are answered as short ones; "
+        f"without that the data tell {ends[0]:.3g} to {ends[1]:.3g}",
+        f"final speed and slow motion of {name} are extrapolated, and wrong of a velocity loop with an integral part; "
+        "motion like that flown is not concerned",
+        f"hold some commands of {name} for {3 * SLOW:.0f} s or more",
         name,
     )
 

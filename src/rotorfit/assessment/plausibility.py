@@ -13,6 +13,9 @@ from rotorfit.simulation.published import PublishedSet, sets_for, vehicle_of
 LIMIT_MARGIN = 1.2
 """Factor by which the whole interval must miss the value expected from the card."""
 
+ABOVE = 1.02
+"""Factor above the speed commanded from which on the whole interval of a final speed is that of no velocity loop."""
+
 LIKE_GRAVITY = 1.05
 """Factor by which an input may differ from gravity where gravity is used as a check."""
 
@@ -38,7 +41,12 @@ def findings_of_settings(model: Model) -> tuple[Finding, ...]:
     Args:
         model: From any method. Axes without numbers are skipped.
     """
-    limits = (finding for axis in AXES for finding in (*_against_limits(model, axis), *_by_gravity(model, axis)))
+    limits = (
+        finding
+        for axis in AXES
+        for check in (_against_limits, _above_command, _by_gravity)
+        for finding in check(model, axis)
+    )
     return (*limits, *_against_symmetry(model), *_against_published(model))
 
 
@@ -60,6 +68,26 @@ def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
         "predictions under the settings of these flights are not",
         f"check [limits] of the card against the settings in these flights, unit and scale of the {axis} command"
         + (LAGGING if meaning.asked == "tilt" and ratio.value < 1 else ""),
+        axis,
+    )
+
+
+def _above_command(model: Model, axis: str) -> Iterator[Finding]:
+    """A final speed above the one commanded: a proportional loop stays below it, an integral part ends at it."""
+    ratio, meaning = compared(model, axis).ratio, meaning_of(model.card, axis)
+    if meaning.asked == "tilt" or ratio is None or ratio.value is None or None in ratio.ci95:
+        return
+    low, high = (float(end) for end in ratio.ci95 if end is not None)
+    if not ABOVE < low <= LIMIT_MARGIN:  # beyond that the card is in doubt
+        return
+    yield Finding(
+        "final_speed_above_command",
+        "warning",
+        f"{axis} ends at {ratio.value:.3g} times what is commanded (95 %: {low:.3g} to {high:.3g}): no velocity loop "
+        "does",
+        f"final speed and slow motion of {axis} are extrapolated from short commands: a loop with an integral part "
+        "overshoots, and then ends at what is commanded; motion like that flown is not concerned",
+        f"hold some commands of {axis} until the speed is steady, for 9 s or more; and check the unit of the command",
         axis,
     )
 

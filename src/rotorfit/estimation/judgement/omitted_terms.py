@@ -1,13 +1,14 @@
-"""Test of the law against what it leaves out: a bound on the acceleration, one on its change, a drag of the square.
+"""Test of the law against what it leaves out: limits of the acceleration, a drag of the square, a slow part.
 
 A vehicle that obeys the law and, one time, such a term has innovations that contain the response to the term, less
 what the fit has absorbed of it. Regressed on that response, they give a factor: 0 without the term; 1 with a limit of
-the size that is tried; of drag, the coefficient in units of b over the root mean square of the speed. What the fit has
-absorbed is known, too: the estimates are off by minus the factor times their weights' sum over the response. The sizes
-of the limits are not known, so several are tried, each of which takes off another share of the acceleration.
+the size that is tried; of drag, the coefficient in units of b over the root mean square of the speed; of a slow part,
+the share by which commands that last are answered with more acceleration than short ones, as by an integral part. What
+the fit has absorbed is known, too: the estimates are off by minus the factor times their weights' sum over the
+response. The sizes of the limits are not known, so several are tried, each of which takes off another share.
 
 General tests of the law hardly see such terms, because lag and damping take their place, and their intervals exclude
-the vehicle's values in small motion.
+the vehicle's values in small motion, or the final speed.
 
 Source: Z. Griliches, Journal of Farm Economics 39 (1957), pp. 8-20 (the bias by what a regression leaves out); T. S.
 Breusch, A. R. Pagan, Review of Economic Studies 47 (1980), pp. 239-253 (tests of a term that is left out); W. K. Newey,
@@ -19,13 +20,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.core.frames import Array
-from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, TRIM
+from rotorfit.core.frames import Array, heading_from_world, world_from_heading
+from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, GAIN, TRIM
 from rotorfit.dynamics.limited_motion import limited_motion
-from rotorfit.estimation.judgement.residual_variance import Weighted, orthonormal
+from rotorfit.estimation.judgement.residual_variance import Weighted, orthonormal, weighted_innovations, widening
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.estimation.likelihood.likelihood import segments, whiten
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.regression.paper import newey_west
@@ -39,8 +41,14 @@ JERK_SHARES = 0.05, 0.1, 0.2, 0.4
 JERKS = 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0
 """Changes, in root mean squares of the acceleration asked for in a second, between which those shares lie."""
 
-STEP = 0.01
-"""Step of the grid [s]."""
+SLOW = 3.0
+"""Time over which commands are averaged to give their slow part [s]."""
+
+EXTRAPOLATED = "steady_gain", "total_lag"
+"""What a slow part concerns: the answer to slow commands. The law still describes that to short ones."""
+
+STEP = 0.02
+"""Step of the grid [s]: short beside the shortest time constants of a vehicle."""
 
 MEMORY = 1.0
 """Time over which contributions to the score are correlated [s]."""
@@ -51,10 +59,11 @@ class OmittedTerm:
     """The term that is likeliest of those that the law leaves out.
 
     Attributes:
-        kind: "bound" on the acceleration, "jerk" for one on its change, or "drag" of the square of the speed.
-        size: Of a limit [m/s^2 or rad/s^2; m/s^3 or rad/s^3 of "jerk"]; of "drag", its coefficient [1/m or 1/rad].
-        statistic: Square of its factor over the variance; 0 where the innovations have the opposite sign.
-        p_value: Probability of a larger factor of this sign for any of the terms if there is none.
+        kind: "bound" on the acceleration, "jerk" for one on its change, "drag" of the square of the speed, "slow" part.
+        size: Of a limit [m/s^2 or rad/s^2; m/s^3 or rad/s^3 of "jerk"]; of "drag", its coefficient [1/m or 1/rad]; of
+            "slow", the share of the input that it adds.
+        statistic: Square of its factor over the variance; 0 where the sign is not that of the term.
+        p_value: Probability of so large a factor for any of the terms if there is none.
         sd: Quantity to the standard deviation that the term adds to its estimate, in its standard errors.
     """
 
@@ -74,37 +83,77 @@ def omitted_term(estimate: Estimate, weighted: Sequence[Weighted], errors: Mappi
         errors: Standard errors of its quantities on their scales, by name.
 
     Returns:
-        None under laws other than those of the first order, and where the data would show none of the terms.
+        None under laws other than linear ones of the first order, and where the data would show none of the terms.
     """
     from scipy.special import ndtr
 
-    structures = estimate.optimum.point.structures or (FIRST_ORDER_DELAY,)
-    if any(not one.linear or one.kicks or one.order > 1 for one in structures):
+    if not _applies(estimate):
         return None
     terms = list(_terms([_grids(*one) for one in _flights(estimate)]))
     responses = _responses(estimate, terms)
-    left = [_left(one, rows) for one, rows in zip(weighted, responses, strict=True)]
-    power = sum(np.sum(rows**2, axis=(0, 1)) for rows in left)
-    seen = power > 1  # of the others not even a factor of 1 is beyond one standard error
-    if not seen.any():
+    factor, error = _factors(weighted, responses)
+    z = np.where([one.kind == "slow" for one in terms], np.abs(factor), factor) / error
+    off = [0.0 if one.kind in ("drag", "slow") else f - 1 for one, f in zip(terms, factor, strict=True)]
+    likelier = np.where(error < 1, z * np.abs(z) - (off / error) ** 2, -np.inf)  # not beyond one standard error
+    if not np.isfinite(likelier).any():
         return None
-    terms, power = [one for one, some in zip(terms, seen, strict=True) if some], power[seen]
-    responses, left = [rows[:, :, seen] for rows in responses], [rows[:, :, seen] for rows in left]
+    a = int(np.argmax(likelier))
+    term, sides = terms[a], 2 if terms[a].kind == "slow" else 1
+    taken = float(np.sqrt(max(factor[a] ** 2 - error[a] ** 2, 0.0)))
+    absorbed = _absorbed(weighted, [rows[..., a] for rows in responses])
+    return OmittedTerm(
+        term.kind,
+        term.size * (float(factor[a]) if term.kind in ("drag", "slow") else 1.0),
+        max(float(z[a]), 0.0) ** 2,
+        min(1.0, int(np.sum(error < 1)) * sides * float(ndtr(-z[a]))),
+        {
+            name: taken * abs(float(absorbed[q])) / errors[name]
+            for q, name in enumerate(errors)
+            if term.kind != "slow" or name in EXTRAPOLATED
+        },
+    )
+
+
+def freed_steady_gain(estimate: Estimate) -> tuple[float, float] | None:
+    """What the flights tell of the final speed if commands that last have an answer of their own.
+
+    Args:
+        estimate: Estimate by the likelihood.
+
+    Returns:
+        Difference of the logarithm of the steady gain from that under the law, and its standard error; None where the
+        law has no steady gain or is not tested.
+    """
+    wanted = estimands(estimate.optimum, estimate.place).get("steady_gain")
+    if wanted is None or not _applies(estimate):
+        return None
+    weighted = weighted_innovations(estimate, [wanted])
+    own = wanted.error(estimate.optimum) * widening(weighted, [wanted.name])[wanted.name]
+    responses = _responses(estimate, [_slow([_grids(*one) for one in _flights(estimate)])])
+    factor, error = _factors(weighted, responses)
+    by = 1 - float(_absorbed(weighted, [rows[..., 0] for rows in responses])[0])  # it is in the steady gain itself, too
+    return float(factor[0]) * by, float(np.hypot(error[0] * by, own))
+
+
+def _applies(estimate: Estimate) -> bool:
+    """Whether the law is of the first order and linear."""
+    structures = estimate.optimum.point.structures or (FIRST_ORDER_DELAY,)
+    return all(one.linear and not one.kicks and one.order < 2 for one in structures)
+
+
+def _factors(weighted: Sequence[Weighted], responses: Sequence[Array]) -> tuple[Array, Array]:
+    """Factor of each term and its standard error, both (A,)."""
+    left = [_left(one, rows) for one, rows in zip(weighted, responses, strict=True)]
+    power = np.maximum(sum(np.sum(rows**2, axis=(0, 1)) for rows in left), np.finfo(float).tiny)
     pairs = list(zip(weighted, left, strict=True))
     factor = sum(np.einsum("bka,bk->a", rows, one.innovation) for one, rows in pairs) / power
-    error = np.sqrt(np.maximum(sum(_variance(one, rows, factor) for one, rows in pairs), power)) / power
-    z = factor / error
-    off = [0.0 if one.kind == "drag" else f - 1 for one, f in zip(terms, factor, strict=True)]  # a limit acts as it is
-    a = int(np.argmax(z * np.abs(z) - (off / error) ** 2))
-    bias = sum(np.einsum("bk,bkq->q", rows[..., a], one.weight) for one, rows in zip(weighted, responses, strict=True))
-    taken = float(np.sqrt(max(factor[a] ** 2 - error[a] ** 2, 0.0)))
-    return OmittedTerm(
-        terms[a].kind,
-        terms[a].size * (float(factor[a]) if terms[a].kind == "drag" else 1.0),
-        max(float(z[a]), 0.0) ** 2,
-        min(1.0, z.size * float(ndtr(-z[a]))),
-        {name: taken * abs(float(bias[q])) / errors[name] for q, name in enumerate(errors)},
-    )
+    variance = sum(_variance(one, rows, factor) for one, rows in pairs)
+    return factor, np.sqrt(np.maximum(variance, power)) / power
+
+
+def _absorbed(weighted: Sequence[Weighted], rows: Sequence[Array]) -> Array:
+    """What a term with a factor of 1 adds to the estimates, (Q,), from its whitened responses (B, K)."""
+    return np.asarray(sum(np.einsum("bk,bkq->q", own, one.weight) for one, own in zip(weighted, rows, strict=True)))
 
 
 def _left(one: Weighted, rows: Array) -> Array:
@@ -167,9 +216,26 @@ def _terms(flights: Sequence[Sequence[_Grid]]) -> Iterator[_Term]:
     shares = [sum(np.sum(np.linalg.norm(one, axis=1)) for one in added(jerk=jerk)) / asked.sum() for jerk in jerks]
     for jerk in np.exp(np.interp(JERK_SHARES, shares[::-1], np.log(jerks[::-1]))):
         yield _Term("jerk", float(jerk), added(jerk=float(jerk)))
+    yield _slow(flights)
     damping = flights[0][0].law[:, DAMPING]
     by_speed = [[-damping * np.linalg.norm(v, axis=1)[:, None] / speed * v for *_, v in parts] for parts in free]
     yield _Term("drag", float(np.mean(damping)) / speed, [np.concatenate(parts) for parts in by_speed])
+
+
+def _slow(flights: Sequence[Sequence[_Grid]]) -> _Term:
+    """The slow part of the demand, averaged in the world, where a velocity loop integrates."""
+    return _Term("slow", 1.0, [np.concatenate([_averaged(part) for part in parts]) for parts in flights])
+
+
+def _averaged(part: _Grid) -> Array:
+    """The demand of a segment averaged over `SLOW`, in the heading frame, (G, K)."""
+    from scipy.signal import lfilter
+
+    demand, keep = part.command * part.law[:, GAIN], np.exp(-STEP / SLOW)
+    turns = demand.shape[1] == 2
+    world = world_from_heading(demand, part.yaw) if turns else demand
+    mean = lfilter([1 - keep], [1, -keep], world, axis=0)
+    return np.asarray(heading_from_world(mean, part.yaw) if turns else mean)
 
 
 def _bounds(asked: Array) -> list[float]:

@@ -10,7 +10,7 @@ parts selected by what was flown show it:
 - size: small or large commands in the last second; limits of acceleration, braking, dead zones;
 - speed: slow or fast changes of the command; dynamics that the law lacks.
 
-Limits of the acceleration and a drag of the square have a test of their own (`omitted_terms`).
+Limits of the acceleration, a drag of the square and a slow part have a test of their own (`omitted_terms`).
 
 Since parts are selected by what preceded an innovation, they are independent in a feedback loop, too. Parts of several
 flights are compared within each flight only: by how much flights differ is another question (`random_effects`).
@@ -30,7 +30,7 @@ import numpy as np
 
 from rotorfit.core.frames import POSE_UNITS, Array, Indices, Mask
 from rotorfit.core.model import Evidence
-from rotorfit.estimation.judgement.omitted_terms import OmittedTerm
+from rotorfit.estimation.judgement.omitted_terms import SLOW, OmittedTerm
 from rotorfit.estimation.judgement.random_effects import excess_spread
 from rotorfit.estimation.judgement.residual_variance import Ratio, Weighted, orthonormal
 from rotorfit.estimation.judgement.spread_prior import spread_scale
@@ -392,6 +392,8 @@ def _omitted(term: OmittedTerm, axis: str, errors: Mapping[str, float]) -> Evide
         "bound": f"an acceleration of no more than about {term.size:.2g} {unit}/s^2",
         "jerk": f"a jerk of no more than about {term.size:.2g} {unit}/s^3",
         "drag": f"a drag of the square of the speed, about {term.size:.2g} 1/{unit}",
+        "slow": f"commands that last {SLOW:.0f} s and more being answered with about {abs(100 * term.size):.0f} % "
+        f"{'more' if term.size > 0 else 'less'} acceleration than short ones",
     }[term.kind]
     return Evidence(
         term.kind,
