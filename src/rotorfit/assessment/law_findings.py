@@ -34,9 +34,9 @@ STAMPS_ALONE = (
     "part of a row each time, which alone can look like this; then "
 )
 
-LEAST_FREED, FREED_BEYOND = 0.05, 1.5
-"""Half width of the interval of a steady gain (logarithm) without its extrapolation from which on that is told, and by
-what factor it is wider."""
+EXTRAPOLATED = 3.0
+"""Standard errors by which the steady gain of the data alone differs from the law's where that is told: the test of the
+law needs 4, because it tries many terms."""
 
 SMALLER = (
     "fit flights whose commands all have the size that the model is wanted for: smaller ones where large ones reach a "
@@ -173,7 +173,7 @@ def _rejected(name: str, axis: Axis) -> Iterator[Finding]:
 
 
 def final_speed_findings(name: str, axis: Axis, estimate: Estimate) -> Iterator[Finding]:
-    """A steady gain that the law extrapolates: commands that last may be answered otherwise, and hardly any were flown.
+    """A steady gain that the law extrapolates, where commands that last seem to be answered otherwise than short ones.
 
     Args:
         name: Name of the axis.
@@ -181,18 +181,14 @@ def final_speed_findings(name: str, axis: Axis, estimate: Estimate) -> Iterator[
         estimate: Its estimate by the likelihood.
     """
     told, lag = axis.combinations.get("steady_gain"), axis.combinations.get("total_lag")
-    if told is None or lag is None or None in told.ci95 or not 0 < lag.value < SLOW:
+    if told is None or lag is None or not 0 < lag.value < SLOW:
         return
     if any(one.test == "slow" for one in axis.evidence) or "refuted" in axis.status.values():
         return
     freed = freed_steady_gain(estimate)
-    if freed is None:
+    if freed is None or abs(freed[0]) < EXTRAPOLATED * freed[1]:
         return
-    low, high = (float(end) for end in told.ci95 if end is not None)
-    half = NORMAL * freed[1]
-    if low * high <= 0 or half < max(LEAST_FREED, FREED_BEYOND * abs(math.log(high / low)) / 2):
-        return
-    ends = sorted(told.value * math.exp(freed[0] + end) for end in (-half, half))
+    ends = sorted(told.value * math.exp(freed[0] + end * NORMAL * freed[1]) for end in (-1, 1))
     yield Finding(
         "final_speed_extrapolated",
         "info",
