@@ -140,7 +140,7 @@ def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
     motion = thinned(motion, flight.duration)
     lagged = smoothed(flight, motion.time, [AXES.index(name) for name in names], DELAYS)
     frames: tuple[Literal["heading", "world"], ...] = ("heading", "world")
-    fits = {frame: [_fit(lagged, motion.time, _along(motion, frame, k)) for k in range(4)] for frame in frames}
+    fits = {frame: _fits(lagged, motion.time, _velocity(motion, frame)) for frame in frames}
     left = {frame: fits[frame][0].left + fits[frame][1].left for frame in frames}
     turned = bool(np.std(motion.yaw) > TURNING) and bool({"x", "y"} & set(names))
     frame: Literal["heading", "world"] = "world" if turned and left["world"] < BETTER * left["heading"] else "heading"
@@ -167,11 +167,11 @@ def smoothed(flight: Flight, time: Array, columns: list[int], delays: Array) -> 
     return found
 
 
-def _along(motion: Motion, frame: str, k: int) -> Array:
-    """Velocity along one axis of a frame, shape (N,)."""
-    if k < 2 and frame == "world":
-        return world_from_heading(motion.velocity[:, :2], motion.yaw)[:, k]
-    return motion.velocity[:, k]
+def _velocity(motion: Motion, frame: str) -> Array:
+    """Velocity along the axes of a frame, shape (N, 4)."""
+    if frame == "heading":
+        return motion.velocity
+    return np.column_stack([world_from_heading(motion.velocity[:, :2], motion.yaw), motion.velocity[:, 2:]])
 
 
 def _shared(lagged: list[tuple[float, Array]], time: Array, j: int) -> float:
@@ -179,26 +179,30 @@ def _shared(lagged: list[tuple[float, Array]], time: Array, j: int) -> float:
     smoothed = [commands for _, commands in lagged[:: len(DELAYS)]]
     rest = np.column_stack([np.ones_like(time), time - time.mean()])
     others = np.column_stack([*(np.delete(commands, j, axis=1) for commands in smoothed), rest])
-    alone, left = (
-        float(np.sum((smoothed[0][:, j] - design @ _solved(design, smoothed[0][:, j])) ** 2))
-        for design in (rest, others)
-    )
+    alone, left = (float(_left(design, smoothed[0][:, j : j + 1])[0]) for design in (rest, others))
     return 1 - left / alone if alone > 0 else 0.0
 
 
-def _fit(lagged: list[tuple[float, Array]], time: Array, velocity: Array) -> _Fit:
-    """Effects of the commands on the velocity along one axis."""
+def _fits(lagged: list[tuple[float, Array]], time: Array, velocity: Array) -> list[_Fit]:
+    """Effects of the commands on the velocity along each axis, shape (N, 4)."""
     rest = np.column_stack([np.ones_like(time), time - time.mean()])
-    designs = [(lag, np.column_stack([commands, rest])) for lag, commands in lagged]
-    left = [float(np.sum((velocity - design @ _solved(design, velocity)) ** 2)) for _, design in designs]
-    index = int(np.argmin(left))
-    lag, design = designs[index]
-    block = np.arange(len(design)) * BLOCKS // len(design)
-    parts = np.array([_solved(design[block != b], velocity[block != b])[:-2] for b in range(BLOCKS)])
-    spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
-    alone = float(np.sum((velocity - rest @ _solved(rest, velocity)) ** 2))
-    size = np.asarray(parts.mean(axis=0))
-    return _Fit(size / np.maximum(spread, 1e-12), size, lag, left[index], 1 - left[index] / alone if alone > 0 else 0.0)
+    designs = [np.column_stack([commands, rest]) for _, commands in lagged]
+    left = np.array([_left(design, velocity) for design in designs])
+    alone, block = _left(rest, velocity), np.arange(len(time)) * BLOCKS // len(time)
+    found = []
+    for k, index in enumerate(np.argmin(left, axis=0).tolist()):
+        kept = [block != b for b in range(BLOCKS)]
+        parts = np.array([_solved(designs[index][some], velocity[some, k])[:-2] for some in kept])
+        size = np.asarray(parts.mean(axis=0))
+        spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - size) ** 2, axis=0))
+        explained = float(1 - left[index, k] / alone[k]) if alone[k] > 0 else 0.0
+        found.append(_Fit(size / np.maximum(spread, 1e-12), size, lagged[index][0], float(left[index, k]), explained))
+    return found
+
+
+def _left(design: Array, target: Array) -> Array:
+    """Residual sum of squares of each column of a target (N, K), shape (K,)."""
+    return np.asarray(np.sum((target - design @ _solved(design, target)) ** 2, axis=0))
 
 
 def _solved(design: Array, target: Array) -> Array:
