@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.frames import Array, Indices, Mask, world_from_heading
-from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.disturbance import (
     axis_start,
     fill_step_tables,

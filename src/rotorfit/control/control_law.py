@@ -22,6 +22,7 @@ that holds the commands under way.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -94,6 +95,7 @@ def motion_matrices(damping: float, time: float) -> tuple[Array, Array]:
     return np.array([[1.0, k, h], [0.0, f, k], [0.0, 0.0, 1.0]]), np.array([h, k, 0.0])
 
 
+@lru_cache(maxsize=64)  # each law is tried around many vehicles
 def linear_system(law: AxisLaw, commands: int = 0) -> tuple[Array, Array, Array]:
     """The law for a reference of zero, s_k = A s_(k-1) + B y_k, u_k = C s_k, where y_k is the k-th measured pose.
 
@@ -102,9 +104,13 @@ def linear_system(law: AxisLaw, commands: int = 0) -> tuple[Array, Array, Array]
         commands: Least number of commands in the state, the latest first, after its first three entries.
 
     Returns:
-        A of shape (n, n), B and C of shape (n,). Entry 3 of the state is u_k, entry 3 + j is u_(k-j).
+        A of shape (n, n), B and C of shape (n,), not to be written to. Entry 3 of the state is u_k, entry 3 + j is
+        u_(k-j).
     """
-    return _with_observer(law, commands) if law.observer else _with_difference(law, commands)
+    system = _with_observer(law, commands) if law.observer else _with_difference(law, commands)
+    for part in system:
+        part.flags.writeable = False
+    return system
 
 
 def _with_difference(law: AxisLaw, commands: int) -> tuple[Array, Array, Array]:
@@ -142,15 +148,20 @@ def _with_observer(law: AxisLaw, commands: int) -> tuple[Array, Array, Array]:
     return A, B, np.eye(n)[3]
 
 
+@lru_cache(maxsize=4096)  # each vehicle is tried with many laws
 def held_step(damping: float, reach: float, period: float) -> tuple[Array, Array, Array]:
     """p, v, d one period later: their transition, shape (3, 3), and the effects of two accelerations, shape (3,) each.
 
-    The first is that of the command that still acts for the rest of `reach`, the second that of the next command.
+    The first is that of the command that still acts for the rest of `reach`, the second that of the next command. They
+    are not to be written to.
     """
     _, rest = whole_periods(reach, period)
     after, new = motion_matrices(damping, period - rest)
     before, held = motion_matrices(damping, rest)
-    return after @ before, after @ held, new
+    moved = after @ before, after @ held, new
+    for part in moved:
+        part.flags.writeable = False
+    return moved
 
 
 def _shifted(n: int) -> tuple[Array, Array]:

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
-import numba
 import numpy as np
 
 from rotorfit.control.control_law import AxisLaw
+from rotorfit.core.compiled import kernel
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Four, Space
 from rotorfit.core.frames import AXES, Array, Mask
@@ -90,7 +90,7 @@ class ReferencePath:
         return x, y, z, yaw
 
 
-@numba.njit(cache=True)
+@kernel()
 def _fill(shape, size, full, centre, t, out):  # type: ignore[no-untyped-def]
     """Fills position, velocity and acceleration, shape (3, N, 4), at times (N,); `full`: final rate of the phase."""
     out[:] = 0.0
@@ -267,7 +267,7 @@ def predict_motion(controller: AxisControllers, steering: Steering, until: float
     return state
 
 
-@numba.njit(cache=True)
+@kernel()
 def _move(state, t, end, yaw, yaw_end, sent, command, numbers):  # type: ignore[no-untyped-def]
     """Propagates world p, v, d, shape (3, 4), in place from t to `end`; `numbers` are `AxisControllers.numbers`."""
     start, span = t, max(end - t, 1e-12)
@@ -299,7 +299,7 @@ def _move(state, t, end, yaw, yaw_end, sent, command, numbers):  # type: ignore[
         t = until
 
 
-@numba.njit(cache=True)
+@kernel()
 def _along(world, heading, a):  # type: ignore[no-untyped-def]
     """Component of a world vector x, y, z, yaw along axis `a` of the heading frame."""
     if a == 0:
@@ -309,7 +309,7 @@ def _along(world, heading, a):  # type: ignore[no-untyped-def]
     return world[a]
 
 
-@numba.njit(cache=True)
+@kernel()
 def _learn(state, error, pose, missing, since, bounded, numbers):  # type: ignore[no-untyped-def]
     """Corrects the state with a pose, axis by axis in the heading frame, and updates the error; both in place."""
     off, c, s = pose - state[0], np.cos(pose[3]), np.sin(pose[3])
@@ -332,7 +332,7 @@ def _learn(state, error, pose, missing, since, bounded, numbers):  # type: ignor
     error[0] = missing
 
 
-@numba.njit(cache=True)
+@kernel()
 def _ask(wanted, t, seen_at, yaw, state, error, place, rate, growth, sent, command, numbers):  # type: ignore[no-untyped-def]
     """Fills the commands of the laws, shape (4,); place, rate, growth: the reference for each axis in a row, (4, 4)."""
     heading = yaw

@@ -298,14 +298,14 @@ def doubt(vehicles: Sequence[LoopVehicle], period: float, latency: float, seed: 
 
 def highest_peak(law: AxisLaw, possible: Doubt) -> float:
     """The peak of the sensitivity that 95 % of the vehicles do not exceed, if all loops are stable: no eigenvalues."""
-    L = -law_response(law, possible.frequency) * possible.response
-    return _quantile(1 / np.abs(1 + L).min(axis=1), 0.95)
+    return _quantile(1 / np.abs(1 + _open_loops(law, possible)).min(axis=1), 0.95)
 
 
 def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
     """Margins of a law around every possible vehicle; an unstable loop has none."""
-    peak, phase, delay = _around_each(law, possible)
-    below, above = np.where(np.isinf(peak), 1.0, _gains(-law_response(law, possible.frequency) * possible.response))
+    L = _open_loops(law, possible)
+    peak, phase, delay = _around_each(law, possible, L)
+    below, above = np.where(np.isinf(peak), 1.0, _gains(L))
     return Robustness(
         float(np.mean(np.isinf(peak))),
         (_quantile(below, 0.95), _quantile(above, 0.05)),
@@ -319,13 +319,17 @@ def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
 
 def share_beyond(law: AxisLaw, possible: Doubt, peak: float, delay: float) -> float:
     """Share of the possible vehicles with a higher peak of the sensitivity or a smaller delay margin [s] than given."""
-    peaks, _, delays = _around_each(law, possible)
+    peaks, _, delays = _around_each(law, possible, _open_loops(law, possible))
     return float(np.mean((peaks > peak) | (delays < delay)))
 
 
-def _around_each(law: AxisLaw, possible: Doubt) -> tuple[Array, Array, Array]:
+def _open_loops(law: AxisLaw, possible: Doubt) -> np.ndarray:
+    """L of the law with each vehicle, complex, shape (D, F)."""
+    return np.asarray(-law_response(law, possible.frequency) * possible.response)
+
+
+def _around_each(law: AxisLaw, possible: Doubt, L: np.ndarray) -> tuple[Array, Array, Array]:
     """Peak, phase margin [rad] and delay margin [s] of each vehicle, shape (D,): infinite, 0 and 0 if unstable."""
-    L = -law_response(law, possible.frequency) * possible.response
     stable = np.array([spectral_radius(law, one) < 1 for one in possible.vehicles])
     phase, delay = _phase_and_delay(L, possible.frequency)
     peak = np.where(stable, 1 / np.abs(1 + L).min(axis=1), np.inf)

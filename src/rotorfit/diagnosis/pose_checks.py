@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.display import counted
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
@@ -11,7 +12,6 @@ from rotorfit.core.frames import AXES, POSE_UNITS, UNIT_SCALE, Array, Mask
 from rotorfit.core.frozen import SUFFERING
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.recording import Recording
-from rotorfit.dynamics.compiled import kernel
 
 LEAP_SIGMAS = 10.0
 """Robust standard deviations from the neighbouring motion above which a step may be a jump."""

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
-from rotorfit.dynamics.compiled import inner, kernel
 
 LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_overlap")
 """q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1]: the order in every array of disturbance levels."""

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import axis_start, step_tables
 
 

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices, Mask
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import (
     axis_start,
     fill_step_tables,

@@ -5,8 +5,8 @@
 
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.frames import Array
-from rotorfit.dynamics.compiled import kernel
 
 
 def first_order_low_pass(values: Array, decay: float) -> Array:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import CROSS_DAMPING, DAMPING, DELAY, KICKS, LAG, ORDER, SHARE, SPEED, ZERO
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import longest_step
 from rotorfit.dynamics.general_step import demand, lag_series, lags_in_world, linear_step
 

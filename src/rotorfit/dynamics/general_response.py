@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DAMPING, DELAY, KICKS, LAG, ORDER, TRIM, ZERO
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_step import (
     COLUMNS,
     MEAN,

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import (
     ASYMMETRY,
@@ -29,7 +30,6 @@ from rotorfit.core.laws import (
     SPEED,
     WORLD,
 )
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.response import transition
 
 MEAN, START, NOTHING = -1, -2, -3

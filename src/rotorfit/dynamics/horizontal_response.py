@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DAMPING, DELAY, FIRST_ORDER_DELAY, GAIN, LAG, ORDER, TRIM, law_of
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import WARM_UP, longest_step
 from rotorfit.dynamics.general_step import lag_series, lags_in_world
 from rotorfit.dynamics.lagged_response import impulse

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.flight_data import LONGEST_GAP, Flight
 from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.results import Motion
-from rotorfit.dynamics.compiled import kernel
 
 NANOSECOND = 1e-9
 """Tolerance at the edge of a window [s]: stamps are whole nanoseconds, and the rounding of their difference must not

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.laws import DAMPING, TRIM
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import STEP_GRAIN, axis_start, discretize, stationary
 from rotorfit.dynamics.general_response import advance, command_in_force, demands, longest_step, settle
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, STATE, T, V, lag_series

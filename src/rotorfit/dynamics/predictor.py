@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DELAY, TRIM
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.filter_bank import COLUMNS_FILTERED, bank_tables, judge, move, probe, start_bank, take
 from rotorfit.dynamics.free_runs import STATE as RUN
 from rotorfit.dynamics.free_runs import free_runs

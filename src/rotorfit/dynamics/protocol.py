@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.flight_data import LONGEST_GAP, Flight, Segment
 from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, Structure, law_of
 from rotorfit.core.results import AxisScore, Horizon, StartErrors
-from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.filter_bank import bank_levels
 from rotorfit.dynamics.free_runs import STATE as RUN

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
-from rotorfit.dynamics.compiled import inner, kernel
 
 VANISHING = 1e-200
 """Size below which a state that decays counts as zero; in any unit, it is far below the rounding of what it acts on."""

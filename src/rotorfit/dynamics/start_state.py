@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorfit.core.compiled import inner
 from rotorfit.core.frames import Array
-from rotorfit.dynamics.compiled import inner
 from rotorfit.dynamics.disturbance import discretize
 from rotorfit.dynamics.filter_bank import AXIS, KNOWN, ROWS, SPREAD, SQUARES, UPPER, disturbance, fill_weights
 from rotorfit.dynamics.general_step import COLUMNS, P, V

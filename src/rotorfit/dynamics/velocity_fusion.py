@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import START_POSITION_VARIANCE, stationary, step_tables
 
 BIAS_VARIANCE = 0.1

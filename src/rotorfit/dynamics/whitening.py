@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices, Mask
-from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import START_POSITION_VARIANCE, discretize, stationary
 
 WIDTH = 32

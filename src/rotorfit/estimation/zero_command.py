@@ -14,13 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import NORMAL
 from rotorfit.core.results import Braking
-from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
 from rotorfit.estimation.judgement.residual_variance import orthonormal
 from rotorfit.estimation.likelihood.axis_estimate import Estimate

@@ -63,7 +63,7 @@ def load_card(name_or_path: str | Path) -> Card:
     """
     built_in, name_or_path = _builtin_files(), str(name_or_path)
     if name_or_path in built_in:
-        return card_from_mapping(plain_toml(built_in[name_or_path].read_text(encoding="utf-8")), name_or_path)
+        return _builtin_card(name_or_path)
     path = Path(name_or_path)
     if not is_file(path):
         raise CardError(
@@ -82,8 +82,13 @@ def load_card(name_or_path: str | Path) -> Card:
 
 def builtin_cards() -> dict[str, Card]:
     """All cards that ship with rotorfit, by name, sorted."""
-    texts = {name: file.read_text(encoding="utf-8") for name, file in _builtin_files().items()}
-    return {name: card_from_mapping(plain_toml(text), name) for name, text in texts.items()}
+    return {name: _builtin_card(name) for name in _builtin_files()}
+
+
+@functools.cache
+def _builtin_card(name: str) -> Card:
+    """A built-in card, parsed once: every log that is read is compared with all of them."""
+    return card_from_mapping(plain_toml(_builtin_files()[name].read_text(encoding="utf-8")), name)
 
 
 @functools.cache

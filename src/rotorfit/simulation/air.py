@@ -12,9 +12,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.errors import LinkError
 from rotorfit.core.frames import Array
 
@@ -143,7 +143,7 @@ def _stationary() -> Array:
     return np.linalg.cholesky(np.array([[1.0, 0.5], [0.5, 0.5]]))
 
 
-@numba.njit(cache=True)
+@kernel()
 def _run(state, normal, transition, root, gusts):  # type: ignore[no-untyped-def]
     """Steps the filters of three axes and fills gusts of unit variance."""
     for n in range(normal.shape[0]):

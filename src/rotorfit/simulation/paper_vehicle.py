@@ -421,10 +421,10 @@ def _steering(controller: Controller, truth: Truth, sent: Array, start: Array) -
 
 @functools.cache
 def _compiled(function: Function) -> Function:
-    """Compiles a function with numba, cached on disk; numba is imported late, as it takes longer than `--help` may."""
-    import numba
+    """The compiled function; numba is imported late, as it takes longer than `--help` may."""
+    from rotorfit.core.compiled import kernel
 
-    return cast("Function", numba.njit(cache=True, error_model="numpy")(function))
+    return cast("Function", kernel()(function))
 
 
 def _fly(

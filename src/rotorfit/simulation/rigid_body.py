@@ -15,10 +15,10 @@ up to which time the kernel is called, so a flight in one piece and one in many 
 from collections.abc import Sequence
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.limits import GRAVITY
 from rotorfit.simulation.change import Change
 from rotorfit.simulation.vehicle import Four, Vehicle
@@ -130,7 +130,7 @@ def _nanoseconds(seconds: float) -> int:
     return NEVER if np.isinf(seconds) else round(seconds * 1e9)
 
 
-@numba.njit(cache=True)
+@kernel()
 def _thrust_commands(par, collective, roll, pitch, yaw, out):  # type: ignore[no-untyped-def]
     """Rotor commands for a collective [N] and moments [N m]: tilt takes priority, then collective, then yaw.
 
@@ -154,7 +154,7 @@ def _thrust_commands(par, collective, roll, pitch, yaw, out):  # type: ignore[no
         out[i] += share * (y if i % 2 == 0 else -y)
 
 
-@numba.njit(cache=True)
+@kernel()
 def _slope(par, s, target, holds, wind, command, out):  # type: ignore[no-untyped-def]
     """Time derivative of the state `s` under the targets of the autopilot; `command` is work space of four numbers."""
     w, x, y, z = s[6], s[7], s[8], s[9]
@@ -232,7 +232,7 @@ def _slope(par, s, target, holds, wind, command, out):  # type: ignore[no-untype
     out[12] = (yaw - (inertia[1] - inertia[0]) * p * q) / inertia[2]
 
 
-@numba.njit(cache=True)
+@kernel()
 def _step(par, state, target, holds, wind, start, end, room):  # type: ignore[no-untyped-def]
     """One classic Runge-Kutta step between two instants [ns]; the wind is linear between its nodes."""
     slope, trial, total, air, command = room[0], room[1], room[2], room[3, :3], room[4, :4]
@@ -257,7 +257,7 @@ def _step(par, state, target, holds, wind, start, end, room):  # type: ignore[no
         state[j] /= norm
 
 
-@numba.njit(cache=True)
+@kernel()
 def _settle_on_floor(par, state):  # type: ignore[no-untyped-def]
     """The floor stops all motion and levels the vehicle; its heading is kept."""
     state[2] = par.floor
@@ -267,7 +267,7 @@ def _settle_on_floor(par, state):  # type: ignore[no-untyped-def]
     state[6], state[7], state[8], state[9] = state[6] / norm, 0.0, 0.0, state[9] / norm
 
 
-@numba.njit(cache=True)
+@kernel()
 def _hear(par, kind, asked, held, progress, instant):  # type: ignore[no-untyped-def]
     """Applies an event that has arrived to the held command, or to the mode."""
     if kind == COMMANDED:
@@ -281,7 +281,7 @@ def _hear(par, kind, asked, held, progress, instant):  # type: ignore[no-untyped
         progress[MODE] = LANDING
 
 
-@numba.njit(cache=True)
+@kernel()
 def _aim(par, held, progress, target):  # type: ignore[no-untyped-def]
     """Fills the targets of the outer loops; returns whether the first two are velocities to hold (not slopes)."""
     target[:] = 0.0
@@ -296,7 +296,7 @@ def _aim(par, held, progress, target):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True)
+@kernel()
 def _change_mode(par, state, progress):  # type: ignore[no-untyped-def]
     """Handles touch-down, the end of the take-off, and automatic landing."""
     if state[2] <= par.floor and state[5] <= 0.0:
@@ -310,7 +310,7 @@ def _change_mode(par, state, progress):  # type: ignore[no-untyped-def]
         progress[MODE] = LANDING
 
 
-@numba.njit(cache=True)
+@kernel()
 def advance(  # type: ignore[no-untyped-def]
     starts, parameter, state, held, progress, until, arrival, kind, asked, count, shot, shots, seen, wind, max_step
 ):

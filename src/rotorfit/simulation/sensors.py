@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.frames import Array
 from rotorfit.simulation.rigid_body import CHARGE
 from rotorfit.simulation.vehicle import Odometry, Radio
@@ -291,7 +291,7 @@ def charges(seen: Array, row: Integers, frames: Frames, index: Integers) -> Arra
     return seen[row[index], CHARGE : CHARGE + 1]
 
 
-@numba.njit(cache=True)
+@kernel()
 def _see_poses(seen, row, shown, error, shift, out):  # type: ignore[no-untyped-def]
     """Fills measured poses of frames that carry the content of the frames `shown`; x, y, z, quaternion w, x, y, z.
 
@@ -327,7 +327,7 @@ def _see_poses(seen, row, shown, error, shift, out):  # type: ignore[no-untyped-
         out[n, 3], out[n, 4], out[n, 5], out[n, 6] = w / norm, x / norm, y / norm, z / norm
 
 
-@numba.njit(cache=True)
+@kernel()
 def _see_velocities(seen, row, shown, error, out):  # type: ignore[no-untyped-def]
     """Measured velocities, heading frame: forward, left, up [m/s], yaw rate [rad/s]; arguments as for `_see_poses`."""
     for n in range(shown.size):

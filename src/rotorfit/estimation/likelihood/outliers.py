@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES, Array
@@ -77,7 +77,7 @@ MANY = 0.05
 Estimator = Callable[[Sequence[Flight]], Mapping[str, Estimate]]
 
 
-@numba.njit(cache=True)
+@kernel()
 def student_filter(steps: Array, step: Any, fresh: Any, residual: Array, levels: Array, freedom: float) -> Any:
     """Runs one axis of the disturbance filter over every pose with heavy-tailed pose noise.
 
