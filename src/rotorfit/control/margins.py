@@ -85,10 +85,16 @@ def spectral_radius(law: AxisLaw, vehicle: LoopVehicle) -> float:
 
 
 def law_response(law: AxisLaw, w: Array) -> Array:
-    """C(e^(i w h)), from the measured pose to the command, complex, shape of w [rad/s]."""
-    A, B, C = linear_system(law)
-    z = np.exp(1j * w * law.period)[..., None, None]
-    return np.asarray(z[..., 0, 0] * (np.linalg.solve(z * np.eye(len(A)) - A, B[:, None])[..., 0] @ C))
+    """C(e^(i w h)), from the measured pose to the command, complex, shape of w [rad/s].
+
+    The commands under way are the latest one, each a period earlier: four states are left to be solved for.
+    """
+    A, B, _ = linear_system(law)
+    z = np.exp(1j * w * law.period)[..., None]
+    reduced = np.empty((*w.shape, 4, 4), complex)
+    reduced[..., :3] = A[:4, :3]
+    reduced[..., 3] = z ** -np.arange(len(A) - 3.0) @ A[:4, 3:].T
+    return np.asarray(z[..., 0] * np.linalg.solve(z[..., None] * np.eye(4) - reduced, B[:4, None])[..., 3, 0])
 
 
 def vehicle_response(vehicle: LoopVehicle, period: float, latency: float, w: Array) -> Array:
