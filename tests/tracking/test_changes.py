@@ -23,7 +23,7 @@ from rotorfit.tracking.following import GLANCE, SHORT, Following
 from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import growing
-from rotorfit.tracking.scores import GUST_POWERS, Scores, scores_of
+from rotorfit.tracking.scores import FADES, GUST_POWERS, Scores, scores_of
 from tracked_flights import LAW, alarms, changing_flight, known_flight, of_a_pilot
 
 pytestmark = pytest.mark.flights
@@ -110,6 +110,22 @@ def test_a_push_is_as_rare_as_under_the_strengths_that_the_air_allows(scores: Sc
     assert calm < 1e-6 * doubtful < 1e-6 * strong
     assert pushes(scores.names, one)
     assert not pushes(scores.names, replace(one, shift=np.where(np.arange(one.shift.size) == trim, 0.0, 1.0)))
+
+
+def test_an_answer_to_first_commands_is_no_jolt_but_a_jolt_before_any_command_is(scores: Scores) -> None:
+    """An axis that has hardly been commanded obeys coefficients that nobody knows yet."""
+    noise, at = np.random.default_rng(5).standard_normal(scores.time.size), float(scores.time[-1]) - 1.5
+    trim, begun = scores.names.index("z.trim"), (scores.time > at)[:, None]
+    answers = scores.tested * (np.arange(len(scores.names)) != trim)
+    first = replace(scores, tested=np.where(begun, answers, 0.0) + (scores.tested - answers))
+    never, push = replace(scores, tested=scores.tested - answers), scores.pushed(at, np.array([FADES]))[0]
+
+    def jolt(scores: Scores, innovation: Array) -> float:
+        found = looked_at(replace(scores, innovation=innovation))
+        return min((one.p_value for one in found if one.jolt), default=1.0)
+
+    assert jolt(first, noise + 5.0 * answers[:, scores.names.index("z.input")] * begun[:, 0]) > 1e-3
+    assert jolt(never, noise + 2.0 * push) < 1e-8
 
 
 def test_a_gap_in_the_poses_a_moment_ago_is_no_jolt(scores: Scores) -> None:

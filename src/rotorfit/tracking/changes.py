@@ -31,7 +31,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from rotorfit.core.frames import AXES, Array, Indices
-from rotorfit.tracking.instant import FLAT, instants_of, now_of
+from rotorfit.tracking.instant import FLAT, instants_of, less_what_is_unknown, now_of
 from rotorfit.tracking.scores import CHUNK, FADES, LASTS, WINDOWS, Scores
 
 UNLIKELY = 1e-3
@@ -478,9 +478,11 @@ class _Jolts:
 
     Attributes:
         time: Instants, shape (n,) [s].
-        product, power: Inner product of the jolt's shape with the innovations, and with itself, shape (n,).
+        product, power: Inner product of the jolt's shape with the innovations, and with itself, less what the
+            coefficients of the regime explain, shape (n,).
         wrong: Largest square that a wrong pose would explain instead, at any block since the first instant.
-        variance: Variance of the filter's normalised output, from its past.
+        variance: Variance of the filter's normalised output, from its past and from the doubts about the law, shape
+            (n,).
         freedom: Degrees of freedom of that variance.
     """
 
@@ -488,7 +490,7 @@ class _Jolts:
     product: Array
     power: Array
     wrong: float
-    variance: float
+    variance: Array
     freedom: float
 
 
@@ -502,19 +504,20 @@ def _jolts_of(scores: Scores, back: float) -> _Jolts | None:
     new = np.unique(np.searchsorted(scores.time, np.arange(now - EARLIEST, now - EARLIEST - back, -APART)))
     if not scores.jolts[first:end].any(axis=0).all():  # a gap in the poses
         return None
-    under = (scores, *scores.under_gusts)[scores.gusts]
+    under = now_of(scores)
     h, *wrongs = under.jolts[first:end].T
-    product, power = _matched(under.innovation, h, new)
+    product, power, across = _matched(under, h, new)
     since = np.arange(new[0], scores.time.size)  # a wrong pose may be the last one: a jolt takes longer to be visible
-    wrong = [_matched(under.innovation, each, since) for each in wrongs]
+    wrong = [_matched(under, each, since) for each in wrongs]
     h, before = scores.jolts[first:end, 0], scores.innovation[: new[0]]
     usual = np.correlate(before, h, "valid") ** 2 / float(h @ h)
     freedom = chunks * min(3.0 * float(usual.mean() ** 2 / max(np.mean(usual**2), 1e-300)), 1.0)
     largest = float(np.quantile(usual, RARE)) / RARE_OF_NORMAL
     variance = MARGIN * max(float(usual.mean()), largest, 1.0)
-    most = max(float((p**2 / np.maximum(q, 1e-300)).max()) for p, q in wrong)
-    power = np.maximum(power, 1e-300)  # zero where the rows since an instant are not tested
-    return _Jolts(scores.time[new], product, power, most, variance, freedom)
+    most = max(float((p**2 / np.maximum(q, 1e-300)).max()) for p, q, _ in wrong)
+    seen = power > VISIBLE
+    product, power, across = seen * product, np.where(seen, power, 1e-300), seen * across
+    return _Jolts(scores.time[new], product, power, most, variance + scores.doubt**2 @ across**2 / power, freedom)
 
 
 def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tuple[str, ...], Contrast]:
@@ -527,14 +530,14 @@ def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tu
     if len(found) < len(scored) or any(not np.array_equal(one.time, found[0].time) for one in found):
         return {}
     gain = np.array([one.product**2 / one.power for one in found])
-    told = (gain / np.array([[one.variance] for one in found])).sum(axis=0)
+    told = (gain / np.array([one.variance for one in found])).sum(axis=0)
     best = int(np.argmax(told))
     if gain[:, best].sum() < sum(one.wrong for one in found):
         return {}
     p_value = float(_p_value(float(told[best]), len(found), min(one.freedom for one in found)))
     out = {}
     for scores, one in zip(scored, found, strict=True):
-        size, power = float(one.product[best] / one.power[best]), float(one.power[best]) / one.variance
+        size, power = float(one.product[best] / one.power[best]), float(one.power[best] / one.variance[best])
         trim = np.array([name.endswith(".trim") for name in scores.names])
         statistic = size**2 * power
         out[scores.names] = Contrast(
@@ -543,12 +546,21 @@ def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tu
     return out
 
 
-def _matched(innovation: Array, h: Array, at: Indices) -> Array:
-    """Inner products of a shape with the innovations from each row on, and with itself over the rows there, (2, n)."""
+def _matched(scores: Scores, h: Array, at: Indices) -> tuple[Array, Array, Array]:
+    """A shape that begins at each of some rows, against the innovations.
+
+    An axis whose commands have only just begun answers by coefficients that the regime does not know: what they explain
+    of the shape is no jolt.
+
+    Returns:
+        Its inner products with the innovations and with itself, less what the coefficients of the regime explain, shape
+        (n,) each, and those with the sensitivities to the parameters that may change, shape (P, n).
+    """
     first = int(at.min())
-    later = np.concatenate([innovation[first : int(at.max()) + h.size], np.zeros(h.size)])
-    rows = np.minimum(innovation.size - at, h.size)
-    return np.array([np.correlate(later, h, "valid")[at - first], np.cumsum(h**2)[rows - 1]])
+    later = np.vstack([scores.rows[first : int(at.max()) + h.size], np.zeros((h.size, scores.rows.shape[1]))])
+    across = np.array([np.correlate(column, h, "valid")[at - first] for column in later.T])
+    rows = np.minimum(scores.time.size - at, h.size)
+    return *less_what_is_unknown(scores, across, np.cumsum(h**2)[rows - 1]), across[1 : 1 + len(scores.names)]
 
 
 @functools.cache

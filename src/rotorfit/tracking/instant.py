@@ -122,12 +122,24 @@ def unexplained(scores: Scores, shapes: Array) -> tuple[Array, Array]:
     Returns:
         Two arrays of shape (T,).
     """
+    return less_what_is_unknown(scores, (shapes @ scores.rows).T, (shapes**2).sum(axis=1))
+
+
+def less_what_is_unknown(scores: Scores, across: Array, power: Array) -> tuple[Array, Array]:
+    """Inner products of shapes with the innovations, and with themselves, less what X explains.
+
+    Args:
+        scores: Those of one likelihood.
+        across: The inner products of T shapes with the columns of `Scores.rows`, shape (1 + P + Q, T).
+        power: Those of the shapes with themselves, shape (T,).
+
+    Returns:
+        Two arrays of shape (T,).
+    """
     normal, right = scores.products[1:, 1:], scores.products[1:, 0]
     ridge = FLAT * float(normal.diagonal().max()) + np.finfo(float).tiny
-    across = shapes @ scores.rows
-    explained = np.linalg.solve(normal + ridge * np.eye(len(normal)), across[:, 1:].T)
-    power = (shapes**2).sum(axis=1) - (across[:, 1:].T * explained).sum(axis=0)
-    return across[:, 0] - right @ explained, np.maximum(power, 0.0)
+    explained = np.linalg.solve(normal + ridge * np.eye(len(normal)), across[1:])
+    return across[0] - right @ explained, np.maximum(power - (across[1:] * explained).sum(axis=0), 0.0)
 
 
 def mixture_interval(log: Array, mean: Array, error: Array) -> tuple[float, float]:
