@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rotorfit.core.tracked import Alarm
+from rotorfit.tracking.alarms import sizes, with_sizes
 from rotorfit.tracking.causes import Diagnosis, _intervals, diagnosis
 from rotorfit.tracking.changes import Contrast
 from rotorfit.tracking.scores import EXPECTED, Scores
@@ -113,6 +114,28 @@ def test_what_may_be_zero_is_told_by_its_difference() -> None:
     assert [alarm.unit(name) for name in change] == ["s", "", "", "s"]
     another = replace(alarm, cause="another_vehicle")
     assert (another.is_ratio("z.lag"), another.unit("z.lag")) == (False, "s")
+
+
+def test_what_hardly_moved_since_a_change_has_no_part_in_it() -> None:
+    """Rounding, divided by rounding, gave an input of which nothing was commanded a ratio of -1e11."""
+    (scores, y), *rest = shifted({"z.trim": -1.2})[1:]
+    precision = np.diag([1e-24, 400.0, 400.0])
+    found = diagnosis([(scores, replace(y, shift=np.array([-5e11, 0.0, 0.0]), precision=precision)), *rest])
+
+    assert (found.cause, found.axes) == ("payload", ("z",))
+
+
+def test_a_size_that_the_flight_does_not_tell_is_left_out_and_said() -> None:
+    found = named({"x.input": 0.4, "y.input": 0.4}, sharp=0.03)
+    other = replace(found, cause="other", shifted=(), change={"x.input": (-0.2, 3.0)})
+    alarm = Alarm(41.3, ("x", "y"), "limits", (38.9, 40.2), {}, 0.9, 1e-8, "because")
+
+    assert found.shifted
+    assert not found.change
+    assert sizes(other, {}, (38.9, 40.2), 39.0) == {}
+    assert with_sizes(alarm, replace(found, shifted=("x.input", "y.input")), {"x.input": (1.2, 1.4)}, 40.3).why == (
+        "because; by how much y.input changed, the flight does not tell"
+    )
 
 
 def test_the_evidence_of_all_instants_counts_not_that_of_the_likeliest_alone() -> None:

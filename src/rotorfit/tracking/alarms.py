@@ -108,15 +108,31 @@ def odds_of_pushes(scored: Mapping[tuple[str, ...], Scores], since: tuple[float,
 def sizes(
     named: Diagnosis, scored: Mapping[tuple[str, ...], Scores], since: tuple[float, float], window: float
 ) -> Mapping[str, tuple[float, float]]:
-    """The intervals of a change for any instant of `since`; a push has that of its first acceleration."""
-    axes = {name: next(scores for names, scores in scored.items() if name in names) for name in named.change}
+    """The intervals of a change for any instant of `since`; a push has that of its first acceleration.
+
+    A ratio of gains whose interval reaches across zero is left out: it tells no size.
+    """
+    axes = {name: next(scores for names, scores in scored.items() if name in names) for name in named.shifted}
     if named.cause in PUSHES:
         return {name: push_interval(scores, since) for name, scores in axes.items()}
-    shift = shift_interval(scored.values(), named.change, since, window) if named.cause in SHARED_SHIFTS else None
-    if shift is None:
-        return named.change
-    size = {name: float(scores.scale[scores.names.index(name)]) for name, scores in axes.items()}
-    return {name: natural(name, (shift[0] * size[name], shift[1] * size[name])) for name in axes}
+    change, shift = named.change, None
+    if named.cause in SHARED_SHIFTS:
+        shift = shift_interval(scored.values(), named.shifted, since, window)
+    if shift:
+        size = {name: float(scores.scale[scores.names.index(name)]) for name, scores in axes.items()}
+        change = {name: natural(name, (shift[0] * size[name], shift[1] * size[name])) for name in axes}
+    return {name: (low, high) for name, (low, high) in change.items() if not (_is_gain(name) and low <= 0.0 <= high)}
+
+
+def _is_gain(name: str) -> bool:
+    return name.endswith(".input")
+
+
+def with_sizes(alarm: Alarm, named: Diagnosis, change: Mapping[str, tuple[float, float]], revises: float) -> Alarm:
+    """An alarm that takes the place of one raised at `revises` [s]: it says by how much, and where it cannot."""
+    untold = [name for name in named.shifted if name not in change]
+    why = f"{alarm.why}; by how much {' and '.join(untold)} changed, the flight does not tell" if untold else alarm.why
+    return replace(alarm, change=change, revises=revises, why=why)
 
 
 def alarm_of(flight: Flight, now: float, named: Diagnosis, since: tuple[float, float], p_value: float) -> Alarm:

@@ -27,10 +27,13 @@ from rotorfit.core.model import NORMAL
 from rotorfit.core.tracked import RATIOS, Cause
 from rotorfit.tracking.changes import Contrast
 from rotorfit.tracking.scores import Scores
-from rotorfit.tracking.shift import CURVED
+from rotorfit.tracking.shift import CURVED, WIDE
 
 PRICE = float(np.log(60.0))
 """Penalty for each parameter of a cause: the logarithm of the number of independent samples in about two seconds."""
+
+ROUNDING = 1e-9
+"""Information about a coefficient, relative to the best known one of its likelihood, below which it is rounding."""
 
 WORDS: Mapping[Cause, str] = {
     "payload": "a payload was taken up or dropped, or thrust was lost evenly: weight against thrust has changed",
@@ -48,14 +51,16 @@ class Diagnosis:
     Attributes:
         cause: The most probable cause.
         axes: The axes that it changes.
-        change: `AXIS.QUANTITY` to the 95 % interval of the change: the ratio of new to old, or the difference of a
-            delay [s] or trim [m/s^2, rad/s^2].
+        shifted: `AXIS.QUANTITY` of each coefficient that it shifts.
+        change: Those of which the flight tells by how much, to the 95 % interval of it: the ratio of new to old, or the
+            difference of a delay [s] or trim [m/s^2, rad/s^2].
         confidence: Share of the evidence for this cause, on any axes.
         why: The reason, in one sentence.
     """
 
     cause: Cause
     axes: tuple[str, ...]
+    shifted: tuple[str, ...]
     change: Mapping[str, tuple[float, float]]
     confidence: float
     why: str
@@ -77,12 +82,14 @@ def diagnosis(*instants: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     }
     cause = max(evidence, key=lambda one: evidence[one])
     best = max((one for one in found if one.cause == cause), key=lambda one: one.evidence)
-    change = _intervals(best.names, best.shift, best.error, best.scale)
+    shifted = [name for name, wide in zip(best.names, best.error, strict=True) if wide > 0.0]
     if cause in ("payload", "thrust"):  # what else moves follows the push
-        change = {name: interval for name, interval in change.items() if name.endswith(".trim")}
-    axes = tuple(dict.fromkeys(name.split(".")[0] for name in change))
+        shifted = [name for name in shifted if name.endswith(".trim")]
+    change = _intervals(best.names, best.shift, best.error, best.scale)
+    change = {name: interval for name, interval in change.items() if name in shifted}
+    axes = tuple(dict.fromkeys(name.split(".")[0] for name in shifted))
     second = max(((each, one) for one, each in evidence.items() if one != cause), default=None)
-    return Diagnosis(cause, axes, change, evidence[cause], _why(cause, second))
+    return Diagnosis(cause, axes, tuple(shifted), change, evidence[cause], _why(cause, second))
 
 
 @dataclass(frozen=True)
@@ -118,7 +125,8 @@ def _weighed(parts: Sequence[tuple[Scores, Contrast]]) -> list[_Weighed]:
         precision[one, one] = _bent(*part)
     shown = set(max(parts, key=lambda part: part[1].statistic)[0].names)
     concerned = [name in shown for name in names]
-    seen = precision.diagonal() > 0  # a coefficient without information takes part in no cause
+    told = [found.precision.diagonal() for _, found in parts]
+    seen = np.concatenate([each > ROUNDING * each.max() for each in told])  # without information: part of no cause
     causes = [(cause, basis) for cause, basis in _causes(names, seen) if basis[concerned].any()]
     fitted = [_fitted(basis, shift, precision) for _, basis in causes]
     named = np.array([cause for cause, _ in causes])
@@ -191,11 +199,11 @@ def _fitted(basis: Array, shift: Array, precision: Array) -> tuple[Array, Array]
 
 
 def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -> dict[str, tuple[float, float]]:
-    """95 % intervals of what changed, in natural units."""
+    """95 % intervals of what changed, in natural units; of a coefficient of which the data tell less there is none."""
     return {
         name: natural(name, ((value - NORMAL * wide) * size, (value + NORMAL * wide) * size))
         for name, value, wide, size in zip(names, moved, error, scale, strict=True)
-        if wide > 0.0
+        if 0.0 < wide <= WIDE
     }
 
 

@@ -37,6 +37,7 @@ from rotorfit.tracking.alarms import (
     rarest,
     seen_in_z_or_yaw,
     sizes,
+    with_sizes,
 )
 from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
@@ -451,7 +452,7 @@ class Following:
         named = diagnosed(scored, raised.names, begun or [best], looked, raised.looked, odds)
         best = likeliest_begun(begun) or best
         change = sizes(named, scored, since, best.since)
-        alarm = replace(alarm_of(flight, now, named, since, raised.p_value), change=change, revises=raised.alarm.raised)
+        alarm = with_sizes(alarm_of(flight, now, named, since, raised.p_value), named, change, raised.alarm.raised)
         if self._told and self._told.alarm.raised == alarm.raised:
             alarm = joined_alarm(self._told.alarm, alarm, {name.partition(".")[0] for name in raised.names})
         self._told = replace(raised, alarm=alarm)
