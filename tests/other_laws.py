@@ -91,6 +91,7 @@ def flown_by(
     noise: float = 0.0,
     turn: float = 0.0,
     amplitude: float = 0.5,
+    straight: float = 0.0,
 ) -> Flight:
     """A flight under a law, from rest, with commands of all sizes that change about every 0.5 s.
 
@@ -103,6 +104,7 @@ def flown_by(
         noise: Of the measured pose [m].
         turn: Amplitude of a slow turn of the heading [rad].
         amplitude: Largest command.
+        straight: Time before the heading turns [s].
     """
     rng, K = np.random.default_rng(seed), len(axes)
     command_time = np.cumsum(np.append(0.0, rng.uniform(0.2, 0.8, int(2 * duration))))
@@ -114,7 +116,7 @@ def flown_by(
     gust = np.zeros((gust_time.size, K))
     for i in range(1, gust_time.size):
         gust[i] = np.exp(-0.1) * gust[i - 1] + wind * np.sqrt(1 - np.exp(-0.2)) * rng.standard_normal(K)
-    heading = lambda t: turn * np.sin(0.5 * np.asarray(t))  # noqa: E731
+    heading = lambda t: turn * np.sin(0.5 * np.maximum(np.asarray(t) - straight, 0.0))  # noqa: E731
     position = _integrated(
         LAWS[name], pose_time, command_time + delay_of(name), command, gust_time, gust, heading, name == WORLD_LAG
     )

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from flights import flown, steps, truth_of
-from other_laws import flown_by
+from other_laws import WORLD_LAG, flown_by
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array
+from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import COEFFICIENTS, Evidence, Interval, Predictor, Weighed, weighed
 from rotorfit.core.tracked import Alarm, Tracked, revised
 from rotorfit.estimation.fitting import fit
@@ -256,6 +257,27 @@ def test_what_rest_explains_is_judged_by_the_flight_before_the_change() -> None:
     assert low is not None
     assert high is not None
     assert low < truth_of(TRUTH, "x")["input"] < high
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.7])
+def test_a_lag_that_keeps_its_direction_is_no_change_when_the_vehicle_begins_to_turn(gain: float) -> None:
+    """Until then it is the same law as one that turns with the vehicle; a gain that has changed is found under both."""
+    plane, turns = ("x", "y"), 30.0
+    flight = flown_by(WORLD_LAG, plane, 40.0, wind=0.01, noise=0.001, turn=4.0, straight=turns)
+    flight = replace(flight, command=flight.command / np.where(flight.command_time > turns, gain, 1.0)[:, None])
+    following, straight = Following(), refitted(until(flight, turns), plane, AVERAGED, turns)
+    following._groups = {plane: Group(plane, 0.0, straight)}
+    told = [following.glance(until(flight, now), now) for now in np.arange(turns, 40.0, GLANCE)]
+    found = [alarm.time for state in told if state for alarm in state.alarms]
+
+    assert straight.fit.model.axes["x"].structure == "first_order_delay_lag"
+    if gain != 1.0:
+        assert found[0] < turns + 5.0
+        return
+    fitted = following._groups[plane].fitted
+    assert not found
+    assert fitted is not None
+    assert fitted.fit.model.axes["x"].structure == WORLD_LAG
 
 
 def test_an_axis_that_is_no_longer_known_says_until_when_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,6 +70,7 @@ from rotorfit.tracking.refits import (
     AxisReport,
     GroupEstimate,
     axis_report,
+    believed_laws,
     grown,
     growth,
     refitted,
@@ -410,6 +411,9 @@ class Following:
         if not seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, groups, names, earlier, threshold):
             self._suspected = suspected or now  # a change that is barely seen may show in the answers a moment later
             return None  # the vehicle has not changed: it obeys another law at rest
+        if self._under_another_law(flight, now, groups, names, earlier, threshold):
+            self._suspected = suspected or now
+            return None  # the vehicle has not changed: until now its answers could not tell one law from another
         if self._told and is_same(self._told.alarm, since, now):
             self._raised = replace(self._told, found=now, names=names, contrast=first, p_value=p_value, looked=looked)
             return None  # nothing new, but more of it
@@ -551,13 +555,45 @@ class Following:
             first = apart.part(flight, begin, before)
             part = first if first and first.duration >= LEAST_TIME else answers
             apart = replace(apart, fitted=refitted(part, axes, self._structure, group.fitted.seen))
-            looked, _ = looked_together(scores_of_groups(recent_groups({axes: apart}, flight, now), flight))
-            if looked and not any(one.p_value < threshold for each in looked.values() for one in each):
-                self._groups[axes] = apart
-                if self._sinking:
-                    self._sinking = replace(self._sinking, groups={**self._sinking.groups, axes: apart})
+            if _shows_nothing({axes: apart}, flight, now, threshold):
+                self._hold(apart)
                 return True
         return False
+
+    def _under_another_law(
+        self,
+        flight: Flight,
+        now: float,
+        groups: Mapping[tuple[str, ...], Group],
+        names: Sequence[str],
+        before: float,
+        threshold: float,
+    ) -> bool:
+        """Whether a change was only found because one law is held where the flight before could not tell which holds.
+
+        A lag that turns with the vehicle and one that keeps its direction are the same until it turns. So a change must
+        be one under each believed law, fitted up to the time `before` the change [s]. From then on the law is held that
+        shows none, until the next look weighs all of them anew.
+        """
+        for axes, group in groups.items():
+            if group.fitted is None or not any(name.split(".")[0] in axes for name in names):
+                continue
+            part = group.part(flight, looks_back(flight, axes, group.since, now), before)
+            if part is None or part.duration < LEAST_TIME:
+                continue
+            for law in believed_laws(group.fitted):
+                fitted = refitted(part, axes, law, seen=0.0)
+                other = replace(group, fitted=fitted)
+                if fitted.estimates and _shows_nothing({**groups, axes: other}, flight, now, threshold):
+                    self._hold(other)
+                    return True
+        return False
+
+    def _hold(self, group: Group) -> None:
+        """Another estimate of a group from now on."""
+        self._groups[group.axes] = group
+        if self._sinking:
+            self._sinking = replace(self._sinking, groups={**self._sinking.groups, group.axes: group})
 
     def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
         """The state in words and numbers."""
@@ -652,6 +688,12 @@ class Following:
             ahead=motion.ahead,
             ahead_ci95=_around(motion.ahead, float(np.hypot(motion.ahead_error, doubt.ahead))),
         )
+
+
+def _shows_nothing(groups: Mapping[tuple[str, ...], Group], flight: Flight, now: float, threshold: float) -> bool:
+    """Whether a look at groups finds no contrast with a p-value below a threshold, and at least tests for one."""
+    looked, _ = looked_together(scores_of_groups(recent_groups(groups, flight, now), flight))
+    return bool(looked) and not any(one.p_value < threshold for each in looked.values() for one in each)
 
 
 def next_look(due: float, now: float, every: float = EVERY) -> float:

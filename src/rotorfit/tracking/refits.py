@@ -27,6 +27,7 @@ from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import estimands, half_widths, interval
 from rotorfit.estimation.likelihood.extra_parameters import conditional_covariance, estimated_extras, extra_status
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.estimation.likelihood.law_average import LAGGED, WORLD
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.zero_command import commanded_parts
@@ -230,6 +231,20 @@ def doubt_of(axis: Axis) -> dict[str, float]:
     tests = [test for test in axis.evidence if test.test not in ("time", "quarter")]
     names = {name for test in tests for name in test.sd}
     return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in tests))) for name in names}
+
+
+def believed_laws(fitted: GroupEstimate) -> tuple[str, ...]:
+    """The laws that the axes of a group may obey instead of those that are held, the likeliest first.
+
+    They are those that the refit did not rule out. On a flight that held its heading it tried a lag in one frame only:
+    in both a lag is the same there.
+    """
+    axes = [fitted.fit.model.axes[axis] for axis in fitted.estimates]
+    laws = [law.structure for law in sorted((law for axis in axes for law in axis.laws), key=lambda law: -law.weight)]
+    straight = all(one.optimum.point.gain.size == 1 for one in fitted.estimates.values())
+    if straight and LAGGED.name in laws and set(fitted.group) <= {"x", "y"}:
+        laws.append(WORLD.name)
+    return tuple(law for law in dict.fromkeys(laws) if any(axis.structure != law for axis in axes))
 
 
 def growth(fitted: GroupEstimate) -> float:
