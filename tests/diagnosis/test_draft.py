@@ -78,6 +78,13 @@ def test_a_draft_for_ros_messages_loads_and_gives_the_flight(
         {"cmd_x": "forward_backward_velocity", "cmd_y": "left_right_velocity", "cmd_z": "up_down_velocity"}
         | {"cmd_yaw": "yaw_velocity", "time": "host_time"},
         {"cmd_x": "vx", "cmd_y": "vy", "cmd_z": "vz", "cmd_yaw": "yawrate", "time": "ts"},
+        {"cmd_x": "vx_set", "cmd_y": "vy_set", "cmd_z": "vz_set", "cmd_yaw": "yawrate_set"}
+        | {"x": "px_m", "y": "py_m", "z": "pz_m", "yaw": "heading_deg"},
+        *(
+            {f"cmd_{axis}": f"v{axis}_{word}" for axis in "xyz"} | {"cmd_yaw": f"yawspeed_{word}"}
+            for word in ("cmd", "sp", "des", "u", "goal", "demand", "commanded", "reference", "setpoint")
+        ),
+        {f"cmd_{axis}": f"targetV{axis}" for axis in "xyz"} | {"cmd_yaw": "target_omega_z"},
         *({"time": name} for name in ("epoch", "datetime", "rostime", "clock")),
     ],
 )
@@ -96,6 +103,18 @@ def test_a_draft_for_a_table_of_ones_own_finds_what_the_names_say(names: dict, t
         axis: names.get(axis, axis) for axis in ("x", "y", "z", "yaw")
     }
     assert flight_from_log(log, card).duration == pytest.approx(29.98, abs=0.1)
+
+
+def test_setpoints_of_a_position_are_a_reference_beside_commands(tmp_path: Path) -> None:
+    log = csv_log(cmd_x="vx_set", cmd_y="vy_set", cmd_z="vz_set", cmd_yaw="yawrate_set")
+    setpoints = {f"{axis}_set": np.zeros(1500) for axis in ("x", "y", "z", "yaw")}
+
+    card = loaded(draft_card(log_of(flight={**log.tables["flight"].columns, **setpoints})), tmp_path)
+
+    assert [channel.source for channel in card.command.values()] == ["vx_set", "vy_set", "vz_set", "yawrate_set"]
+    assert {axis: channel.source for axis, channel in card.reference.items()} == {
+        axis: f"{axis}_set" for axis in ("x", "y", "z", "yaw")
+    }
 
 
 def test_velocities_beside_a_position_are_commands_only_if_the_vehicle_does_not_follow_at_once(tmp_path: Path) -> None:

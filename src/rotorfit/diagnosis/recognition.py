@@ -32,10 +32,12 @@ from rotorfit.flights.columns import (
 )
 from rotorfit.flights.stamps import degrees_for_radians, increasing, stamps_of
 
+_GOAL = "(?:ref|reference|goal|des|desired|dem|demand|(?:ctrl)?target|setpoint|set|sp)"
+
 _COMMAND_FAMILIES = (
-    ("(?:(?:.*_)?cmd_vel(?:_twist)?|p?cmd|command)", "(?:v_?)?"),
+    ("(?:(?:.*_)?cmd_vel(?:_twist)?|p?cmd|command(?:ed)?)", "(?:v_?)?"),
     ("(?:u|input|ctrl|control)", "(?:v_?)?"),
-    ("(?:ref|setpoint|sp|des|desired|(?:ctrl)?target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
+    (_GOAL, "(?:vel_?|v_?)"),  # without a v it is a position setpoint
     ("(?:pct|percent|stick)", "(?:v_?)?"),
 )
 
@@ -47,9 +49,11 @@ _SETPOINT = {axis: f"v_?{axis}|(?:velocity|vel|twist|linear)_{axis}|velocity_{i}
 
 _SETPOINT |= {"yaw": "yaw_?speed|yaw_?rate|r"}
 
-_TURN = "yaw|yaw_?rate|turn|rot|rudder|psi|psi_?dot"
+_YAW_RATE = "(?:yaw|turn)_?(?:rate|speed)|psi_?dot"
 
-_TURN_RATE = f"{_TURN}|r|w|wz|ang_?z|angular_z"
+_TURN = f"yaw|turn|rot|rudder|psi|{_YAW_RATE}"
+
+_TURN_RATE = f"{_TURN}|r|w|wz|ang_?z|angular_z|omega_?z"
 
 _FORWARD, _LEFT, _UP = (
     "lin_?x|linear_x|vf|pitch|theta|forward|fwd",
@@ -87,8 +91,6 @@ _VELOCITIES = (
 )
 
 _OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
-
-_GOAL = "(?:ref|reference|goal|des|desired|(?:ctrl)?target|setpoint|sp)"
 
 _REFERENCE = {axis: f"{_GOAL}_?{axis}|{axis}_?{_GOAL}" for axis in AXES}
 
@@ -397,7 +399,7 @@ def _family(table: Table, word: str, speed: str) -> dict[str, str]:
     axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
     fast = _named(table, _with(word, {axis: f"v(?:el)?_?{axis}" for axis in "xyz"}))
     turn = _named(table, _with(word, {"yaw": _TURN}))
-    rate = _named(table, _with(word, {"yaw": "(?:yaw|turn)_?rate|psi_?dot"}))
+    rate = _named(table, _with(word, {"yaw": _YAW_RATE}))
     return _named(table, _with(word, axes)) | (fast if {"x", "y"} <= fast.keys() else {}) | turn | rate
 
 
