@@ -486,6 +486,78 @@ def test_a_draft_reads_a_compass_as_clockwise_from_north(tmp_path: Path) -> None
     np.testing.assert_allclose(turned - turned[0], np.unwrap(true["yaw"])[: turned.size] - true["yaw"][0], atol=1e-6)
 
 
+EAST_NORTH_UP: dict[str, Callable] = {
+    "north_east_alt": lambda true: {"north": true["y"], "east": true["x"], "alt": true["z"]},
+    "above_the_start": lambda true: {"north": true["y"], "east": true["x"], "alt": true["z"] - true["z"][0] - 0.3},
+    "enu": lambda true: {"pos_e": true["x"], "pos_n": true["y"], "pos_u": true["z"]},
+    "ned": lambda true: {"pos_n": true["y"], "pos_e": true["x"], "pos_d": -true["z"]},
+    "z_without_a_name": lambda true: {"north": true["y"], "east": true["x"], "z": true["z"]},
+}
+
+HEADINGS: dict[str, Callable] = {
+    "compass": lambda yaw: {"hdg": np.degrees(np.pi / 2 - yaw) % 360},
+    "heading_from_east": lambda yaw: {"heading_deg": np.degrees(yaw)},
+    "yaw_from_north": lambda yaw: {"yaw": np.pi / 2 - yaw},
+    "quaternion_of_ned": lambda yaw: quaternion(np.pi / 2 - yaw),
+    "quaternion_of_enu": lambda yaw: quaternion(yaw),
+}
+
+COMMANDS = {
+    "sticks": {"stick_fwd": ("x", 1), "stick_right": ("y", -1), "stick_climb": ("z", 1), "stick_yaw": ("yaw", -1)},
+    "right_up": {"vx_cmd": ("x", 1), "vy_cmd": ("y", -1), "vz_cmd": ("z", 1), "yawrate_cmd": ("yaw", -1)},
+    "right_down": {"vx_cmd": ("x", 1), "vy_cmd": ("y", -1), "vz_cmd": ("z", -1), "yawrate_cmd": ("yaw", -1)},
+}
+
+
+def quaternion(yaw: np.ndarray) -> dict:
+    return {"qw": np.cos(yaw / 2), "qx": 0 * yaw, "qy": 0 * yaw, "qz": np.sin(yaw / 2)}
+
+
+def assert_right_handed(columns: dict, true: dict, tmp_path: Path) -> None:
+    """The draft reads the pose as it was and the commands as they act, whichever way the columns count."""
+    log = log_of(flight={"time": T, **columns})
+    flight = flight_from_log(log, loaded(draft_card(log), tmp_path))
+
+    seen, sent = (lambda series: np.interp(flight.pose_time, T, series)), flight.command_time
+    for k, axis in enumerate("xyz"):
+        np.testing.assert_allclose(np.diff(flight.position[:, k]), np.diff(seen(true[axis])), atol=1e-6)
+    turned = np.exp(1j * (flight.yaw - seen(true["yaw"])))
+    np.testing.assert_allclose(turned, 1, atol=1e-5)
+    told = np.column_stack([np.interp(sent, T, COMMAND[axis]) for axis in ("x", "y", "z", "yaw")])
+    np.testing.assert_allclose(flight.command, told, atol=1e-9)
+
+
+@pytest.mark.parametrize("commands", COMMANDS)
+@pytest.mark.parametrize("heading", HEADINGS)
+@pytest.mark.parametrize("position", EAST_NORTH_UP)
+def test_a_pose_with_directions_in_its_names_is_not_mirrored(
+    position: str, heading: str, commands: str, tmp_path: Path
+) -> None:
+    true = turning()
+    told = {name: sign * COMMAND[axis] for name, (axis, sign) in COMMANDS[commands].items()}
+
+    assert_right_handed(EAST_NORTH_UP[position](true) | HEADINGS[heading](true["yaw"]) | told, true, tmp_path)
+
+
+@pytest.mark.parametrize("commands", COMMANDS)
+def test_a_heading_named_like_a_compass_is_turned_before_a_position(commands: str, tmp_path: Path) -> None:
+    true = turning()
+    told = {name: sign * COMMAND[axis] for name, (axis, sign) in COMMANDS[commands].items()}
+
+    assert_right_handed({axis: true[axis] for axis in "xyz"} | HEADINGS["compass"](true["yaw"]) | told, true, tmp_path)
+
+
+def test_a_draft_says_where_the_motion_stands_against_a_name() -> None:
+    true = turning()
+    pose = EAST_NORTH_UP["enu"](true) | HEADINGS["heading_from_east"](true["yaw"])
+    told = {"stick_fwd": COMMAND["x"], "stick_right": COMMAND["y"], "stick_climb": COMMAND["z"]}
+
+    text = draft_card(log_of(flight={"time": T, **pose, **told, "stick_yaw": COMMAND["yaw"]}))
+
+    assert "yaw grows counter-clockwise from east, where x points, though named like a compass, by the motion" in text
+    assert "delay and time constant together 0.3 s, though its name says the other way" in text
+
+
 @pytest.mark.parametrize(("unit", "step"), [("ms", 1), ("us", 1000), ("ns", 1_000_000)])
 @pytest.mark.parametrize("since_1970", [False, True])
 def test_a_draft_of_a_log_at_a_kilohertz_finds_the_unit_of_its_clock(

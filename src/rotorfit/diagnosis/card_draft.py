@@ -3,10 +3,9 @@
 The names in a log suggest its commands and pose; the motion corrects axes, signs, frames and units.
 """
 
-import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,16 @@ from rotorfit.core.results import Motion
 from rotorfit.core.writing import check_folder, write_whole
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.command_response import BETTER, QUICKEST, SHARED, Answers, CommandResponse, answers_of
+from rotorfit.diagnosis.draft_contents import (
+    ORDER_GUESSED,
+    DraftContents,
+    found_in,
+    in_degrees,
+    is_whole,
+    readings,
+    turned,
+    with_pose,
+)
 from rotorfit.diagnosis.frame_checks import (
     height_sign,
     is_held_in_degrees,
@@ -32,90 +41,21 @@ from rotorfit.diagnosis.frame_checks import (
 from rotorfit.diagnosis.pose_checks import degrees_turned, position_unit
 from rotorfit.diagnosis.recognition import (
     Recognised,
-    commands_in,
-    is_down,
-    is_of_tello,
-    is_of_the_body,
+    is_directed,
+    is_east_and_north,
     is_stated,
     is_turned_up,
+    is_up,
     poses_in,
     reference_in,
-    velocities_as_commands,
-    velocity_in,
     windows_in,
     z_up,
 )
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.files.cards import builtin_card_text, card_from_mapping
-from rotorfit.files.logs.formats import FORMATS
-from rotorfit.files.logs.several import format_of
 from rotorfit.flights.assemble import flight_from_log
-from rotorfit.flights.columns import name_without_unit, shape_text, source_of
+from rotorfit.flights.columns import shape_text, source_of
 from rotorfit.flights.several_files import bound
-
-
-@dataclass(frozen=True)
-class DraftContents:
-    """Contents of a draft.
-
-    Attributes:
-        commands: Recognised by name, later with axes and signs from the motion.
-        pose: Recognised by name.
-        velocity: Onboard velocity, recognised by name.
-        frame: Frame of the commands: `heading` or `world`.
-        velocity_frame: Frame of the velocity, likewise.
-        pose_frame: `ENU` or `NED`.
-        pose_remark: Reason for the frame, appended to its line.
-        remarks: Remarks appended to other lines of the pose, by quantity.
-        doubted: Whether the commands may be the vehicle's own velocity, judging by their names.
-    """
-
-    commands: Recognised
-    pose: Recognised
-    velocity: Recognised
-    frame: str
-    velocity_frame: str
-    pose_frame: str
-    pose_remark: str
-    remarks: Mapping[str, str] = field(default_factory=dict)
-    doubted: bool = False
-
-    @property
-    def alone(self) -> list[str]:
-        """Axes with a velocity but no position."""
-        return [axis for axis in "xyz" if axis in self.velocity.channels and axis not in self.pose.channels]
-
-
-def found_in(log: Log, pose: Recognised, guess: bool = True) -> DraftContents:
-    """Contents of a draft according to the names in a log.
-
-    Args:
-        log: As recorded.
-        pose: One of its poses.
-        guess: Whether columns named like velocities may be commands where nothing else is.
-    """
-    commands, doubted = commands_in(log), False
-    if guess and not commands.channels and (named := velocities_as_commands(log, pose)).channels:
-        commands, doubted = named, True
-    velocity = velocity_in(log, commands, pose)
-    if is_of_tello(log, velocity) and not any(is_stated(log, channel) for channel in velocity.channels.values()):
-        dm = {axis: replace(channel, scale=10.0, unit="cm/s") for axis, channel in velocity.channels.items()}
-        velocity = replace(velocity, channels=dm)
-    of_velocity = "heading" if is_of_the_body(velocity) else "world"
-    frame, remark = _pose_frame(log, velocity, pose)
-    said = dict.fromkeys(pose.strays, "EDIT: named unlike the others, and perhaps of another sensor")
-    if _is_whole(pose) and re.search(r"\d\]?$", str(pose.channels["qw"].source)):
-        said["qw"] = _ORDER_GUESSED
-    if "yaw" not in commands.channels and _is_beside_gaz(commands, pose):
-        said["yaw"] = "EDIT: beside gaz it may be a command; then the heading is missing"
-    return DraftContents(commands, pose, velocity, "heading", of_velocity, frame, remark, said, doubted)
-
-
-def _is_beside_gaz(commands: Recognised, pose: Recognised) -> bool:
-    """Whether a heading stands beside commands named as in Parrot's SDKs, among which it may be."""
-    climb = commands.channels.get("z")
-    named = climb is not None and name_without_unit(str(climb.source).rpartition(":")[2]) == "gaz"
-    return named and "yaw" in pose.channels and pose.table == commands.table
 
 
 def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: str = "") -> str:
@@ -150,7 +90,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         ),
         *([f"# {', '.join(found.alone)}: only the velocity, below"] if found.alone else []),
         _quaternion_line(pose, found.remarks.get("qw", ""))
-        if _is_whole(pose)
+        if is_whole(pose)
         else _line(log, "yaw", pose.channels.get("yaw"), found.remarks.get("yaw", "")),
         "",
         *_velocity_lines(log, found),
@@ -187,28 +127,9 @@ def _velocity_lines(log: Log, found: DraftContents) -> list[str]:
     ]
 
 
-def _is_whole(pose: Recognised) -> bool:
-    return {"qw", "qx", "qy", "qz"} <= pose.channels.keys()
-
-
-def _pose_frame(log: Log, velocity: Recognised, pose: Recognised) -> tuple[str, str]:
-    """The frame of the pose according to names and format, and its remark."""
-    if is_down(pose):
-        return "NED", 'of the pose, by its names; "ENU" where z points up'
-    if is_of_tello(log, velocity):
-        return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
-    table = pose.table or velocity.table
-    kind = FORMATS.get(format_of(log, table) if table else log.format)
-    if kind and kind.ned:
-        return "NED", 'as autopilots have it; "ENU" where z points up'
-    return "ENU", 'of the pose; "NED" where z points down'
-
-
 def _window_lines(source: str, says: str) -> list[str]:
     return ["[[window]]  # commands count while this holds", f"when = {_quoted(source)}", *says.splitlines(), ""]
 
-
-_ORDER_GUESSED = "EDIT: this order is a guess, for numbers do not tell which is w"
 
 NO_COMMAND = "[command] x, y, z or yaw"
 """What a draft lacks that names no command: without one nothing can be fitted."""
@@ -227,7 +148,7 @@ def _heading(log: Log, found: DraftContents) -> list[str]:
         NO_COMMAND: bool(found.commands.channels),
         "[pose] time": pose.time is not None,
         **{f"[pose] {axis}": axis in pose.channels or axis in found.alone for axis in "xyz"},
-        "[pose] yaw or quaternion": _is_whole(pose) or "yaw" in pose.channels,
+        "[pose] yaw or quaternion": is_whole(pose) or "yaw" in pose.channels,
     }
     missing = [what for what, is_there in there.items() if not is_there]
     without = [axis for axis in AXES if axis not in found.commands.channels] if found.commands.channels else []
@@ -271,6 +192,8 @@ _PERHAPS_A_HEIGHT = "EDIT: named unlike x and y; a height instead of a velocity?
 
 MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
 
+UNLIKE = ", though its name says the other way"
+
 _DIRECTIONS = {
     "heading": {"x": "forward", "y": "left", "z": "up", "yaw": "counter-clockwise"},
     "world": {"x": "along x (east)", "y": "along y (north)", "z": "up", "yaw": "counter-clockwise"},
@@ -300,11 +223,8 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     if told is None:
         why = f"The motion could not be used: {line_of(asked.why)}." if asked.why else ""
         return _for_the_next_files(log, text_of(log, found, {}, why))
-    if turned := ", ".join(overturned(told.of, asked.height)):
-        found = replace(found, pose_remark=f"as z is above 0; {turned} are turned together: forward, right, down?")
-    elif asked.height < 0 and found.pose_frame == "ENU":
-        found = replace(found, pose_remark='EDIT: z is below 0; if it points down: "NED", and scale = -1 for y, z, yaw')
-    if turned_by_yaw(told) and found.remarks.get("qw") == _ORDER_GUESSED:
+    found = replace(found, pose_remark=_frame_remark(found, told, asked.height))
+    if turned_by_yaw(told) and found.remarks.get("qw") == ORDER_GUESSED:
         found = replace(found, remarks={**found.remarks, "qw": ""})
     moved, said = _by_motion(found.commands, told)
     found = _in_metres(log, replace(found, commands=moved, frame=told.frame or "heading"), asked.motion)
@@ -312,6 +232,20 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     checked = f"Signs were checked against the motion{'' if sure else ', which does not tell those marked EDIT'}."
     frame = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
     return _for_the_next_files(log, text_of(log, found, said, f"{checked}{frame}"))
+
+
+def _frame_remark(found: DraftContents, told: Answers, height: int) -> str:
+    """The remark on the frame of the pose, where the direction of z is in question."""
+    if together := ", ".join(overturned(told.of, height)):
+        why = "by the names" if is_directed(found.pose) else "as z is above 0"
+        return f"{why}; {together} are turned together: forward, right, down?"
+    if height < 0 and found.pose_frame == "ENU" and not is_up(found.pose):
+        rest = "scale = -1 for z, in [command], too" if is_east_and_north(found.pose) else _AS_NED
+        return f"EDIT: z is below 0; if it points down: {rest}"
+    return found.pose_remark
+
+
+_AS_NED = '"NED", and scale = -1 for y, z, yaw'
 
 
 def _for_the_next_files(log: Log, text: str) -> str:
@@ -428,7 +362,7 @@ def _in_degrees(log: Log, asked: _Asked) -> _Asked:
     if yaw is None or yaw.unit or is_stated(log, yaw) or rate is None:
         return asked
     why = f"yaw is in degrees by the motion: in radians it turns with {rate:.2g} rad/s (RMS), too much for any vehicle"
-    return _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
+    return _asked(log, with_pose(asked.found, why, yaw=in_degrees(yaw)))
 
 
 def _held_in_degrees(log: Log, asked: _Asked) -> _Asked:
@@ -442,7 +376,7 @@ def _held_in_degrees(log: Log, asked: _Asked) -> _Asked:
     if turned_by_yaw(told) or not is_held_in_degrees(motion) or (told.frame != "world" and not _unlike(told)):
         return asked
     why = 'EDIT: degrees, or radians and frame = "world" in [command]: the motion does not tell the two apart'
-    other = _asked(log, _read(asked.found, why, yaw=replace(yaw, unit="deg")))
+    other = _asked(log, with_pose(asked.found, why, yaw=in_degrees(yaw)))
     if other.answers is None or CLEARER * other.answers.left > told.left:
         return asked
     fewer = _unlike(told) - _unlike(other.answers)
@@ -459,7 +393,7 @@ def _doubting_radians(log: Log, asked: _Asked) -> _Asked:
     if not turned_by_yaw(told) or not is_held_in_degrees(motion):
         return asked
     why = 'EDIT: radians, or degrees and frame = "heading" in [command]: the motion does not tell the two apart'
-    return replace(asked, found=_read(asked.found, why, yaw=yaw))
+    return replace(asked, found=with_pose(asked.found, why, yaw=yaw))
 
 
 def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
@@ -469,22 +403,22 @@ def _in_the_better_order(log: Log, asked: _Asked) -> _Asked:
     unless it is near 0 neither moves the vehicle clearly along its axis. Named parts are believed as far as possible.
     """
     found, told = asked.found, asked.answers
-    if told is None or not _is_whole(found.pose):
+    if told is None or not is_whole(found.pose):
         return asked
     doubted = "yaw" not in told.of and strays_from_its_names(told)
     if doubted and (upright := upright_order(log, found.pose.channels)):
         why = "by the pose: in the order of the names the vehicle lies on its side; EDIT if that is not so"
-        return _asked(log, _read(found, why, **upright))
+        return _asked(log, with_pose(found, why, **upright))
     if "yaw" in told.of:
         why, obeys = "in the order of the names no command turns the vehicle", turned_by_yaw
-    elif found.remarks.get("qw") == _ORDER_GUESSED:
+    elif found.remarks.get("qw") == ORDER_GUESSED:
         why, obeys = "in the order of the numbers x and y do not move the vehicle as named", _as_named
     else:
         why, obeys = "in the order of the names x and y are both reversed", _ahead
     if obeys(told):
         return asked
     why = f"by the motion: {why}; EDIT if that is not so"
-    others = (_asked(log, _read(found, why, **parts)) for parts in other_orders(found.pose.channels))
+    others = (_asked(log, with_pose(found, why, **parts)) for parts in other_orders(found.pose.channels))
     return next((other for other in others if other.answers and obeys(other.answers)), asked)
 
 
@@ -536,14 +470,16 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
     found, told = asked.found, asked.answers
     if told is None or (told.frame != "world" and not _odd(told)):
         return asked
-    turned = overturned(told.of, asked.height)
-    if turned and asked.height <= 0:
+    together = overturned(told.of, asked.height)
+    if together and asked.height <= 0 and not is_directed(found.pose):
         here, other = found.pose_frame, "ENU" if found.pose_frame == "NED" else "NED"
-        said = f"by the motion: in {here}, {', '.join(turned)} would be turned; if it is {here}, give scale = -1 there"
+        said = (
+            f"by the motion: in {here}, {', '.join(together)} would be turned; if it is {here}, give scale = -1 there"
+        )
         return _asked(log, replace(found, pose_frame=other, pose_remark=said))
     if told.frame is None or found.alone:
         return asked
-    others = [_asked(log, one) for one in _readings(found)]
+    others = [_asked(log, one) for one in readings(found)]
     better = [one for one in others if one.answers and one.answers.left < CLEARER * told.left]
     least = min((one.answers.left for one in better if one.answers), default=0.0)
     sound = [(_odd(one.answers), one) for one in better if one.answers and CLEARER * one.answers.left <= least]
@@ -568,32 +504,6 @@ def _unlike(told: Answers) -> int:
     return sum(1 for name, answer in told.of.items() if answer.axis != name or answer.sign < 0)
 
 
-def _readings(found: DraftContents) -> Iterator[DraftContents]:
-    """Alternative readings of the pose that a card can express."""
-    pose, asks = found.pose.channels, "by the motion: EDIT if that is not so"
-    if {"x", "y"} <= pose.keys():
-        yield _read(found, f"y turned, for the pose is mirrored {asks}", y=_turned(pose["y"]))
-        yield _read(found, f"x and y exchanged, for the pose is mirrored {asks}", y=pose["x"], x=pose["y"])
-    if "yaw" in pose:
-        turned = _turned(pose["yaw"])
-        yield _read(found, f"yaw grows clockwise {asks}", yaw=turned)
-        quarter = 90.0 if turned.unit == "deg" else round(math.pi / 2, 6)
-        from_north = replace(turned, offset=turned.offset + quarter)
-        yield _read(found, f"yaw grows clockwise from north, where y points {asks}", yaw=from_north)
-        if pose["yaw"].unit is None:
-            yield _read(found, f"yaw is in degrees {asks}", yaw=replace(pose["yaw"], unit="deg"))
-
-
-def _read(found: DraftContents, why: str, **channels: Channel) -> DraftContents:
-    """The same draft with channels of the pose changed."""
-    pose = replace(found.pose, channels={**found.pose.channels, **channels})
-    return replace(found, pose=pose, remarks={**found.remarks, next(iter(channels)): why})
-
-
-def _turned(channel: Channel) -> Channel:
-    return replace(channel, scale=-channel.scale)
-
-
 def _in_metres(log: Log, found: DraftContents, motion: Motion | None) -> DraftContents:
     """The same draft with a unit for the position if no vehicle can have flown it in metres, and none is stated."""
     known = {axis: channel for axis, channel in found.pose.channels.items() if axis in "xyz"}
@@ -601,7 +511,7 @@ def _in_metres(log: Log, found: DraftContents, motion: Motion | None) -> DraftCo
     if unit is None or any(channel.unit or is_stated(log, channel) for channel in known.values()):
         return found
     name, speed = unit
-    read = _read(found, "", **{axis: replace(channel, unit=name) for axis, channel in known.items()})
+    read = with_pose(found, "", **{axis: replace(channel, unit=name) for axis, channel in known.items()})
     why = f'by the motion, too fast in metres for any vehicle: {speed:.2g} m/s (RMS) with this unit; EDIT: "cm" or "mm"'
     return replace(read, remarks={**found.remarks, "x": "; ".join(filter(None, (found.remarks.get("x"), why)))})
 
@@ -616,11 +526,12 @@ def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[st
     channels, said = {}, {}
     for name, channel in commands.channels.items():
         axis, answer = moved[name], told.of.get(name)
-        turned = answer is not None and name in sure and answer.sign < 0 and answer.axis == axis
-        channels[axis] = _turned(channel) if turned else channel
-        mirrored = turned and told.frame is None and axis in ("x", "y")
+        backwards = answer is not None and name in sure and answer.sign < 0 and answer.axis == axis
+        channels[axis] = turned(channel) if backwards else channel
+        mirrored = backwards and told.frame is None and axis in ("x", "y")
         stray = _PERHAPS_A_HEIGHT * (name in commands.strays)
-        said[axis] = stray + _remark(name, axis, answer, told.frame or "heading") + MIRRORED * mirrored
+        unlike = UNLIKE * (backwards and channel.scale < 0)
+        said[axis] = stray + _remark(name, axis, answer, told.frame or "heading") + unlike + MIRRORED * mirrored
     return replace(commands, channels=channels), said
 
 

@@ -48,7 +48,10 @@ _HEADINGS: tuple[Mapping[str, str], ...] = (
     },
     {f"q{part}": f"{_WHERE}{_QUATERNION}({i})" for i, part in enumerate("wxyz")},
     {f"q{part}": f"{_WHERE}{_QUATERNION}({i})" for i, part in enumerate("wxyz", 1)},
-    *({"yaw": f"{_WHERE}({word})|({word})_?(?:pos|opt|mocap|est)"} for word in ("yaw", "psi", "heading", "hdg")),
+    *(
+        {"yaw": f"{_WHERE}({word})|({word})_?(?:pos|opt|mocap|est)"}
+        for word in ("yaw", "psi", "heading", "hdg", "compass")
+    ),
 )
 
 
@@ -107,10 +110,14 @@ def bodies_named(table: Table) -> list[NamedPose]:
 
 
 def poses_named(table: Table) -> list[NamedPose]:
-    """Poses in a table, each from the family with the most of x, y and z; the likeliest first."""
+    """Poses in a table, each from the family with the most of x, y and z; the likeliest first.
+
+    North and east without down are one pose, with z up.
+    """
     places, headings = _families(table, _PLACES), headings_named(table)
-    fullest = [place for place in places if len(place.names) == len(places[0].names)]
-    return [_pose(place, places, headings) for place in fullest]
+    full = [place for place in places if len(place.names) == len(places[0].names)]
+    fullest = {frozenset(place.names.values()): place for place in reversed(full)}.values()
+    return [_pose(place, places, headings) for place in reversed(fullest)]
 
 
 def named_alike(table: Table, patterns: Mapping[str, str]) -> dict[str, str]:

@@ -282,11 +282,33 @@ def windows_in(log: Log) -> list[tuple[str, str]]:
 
 def is_down(pose: Recognised) -> bool:
     """Whether the name of the vertical position says that it points down."""
-    return "z" in pose.channels and bool(
-        re.search(
-            r"(?:^|_)(?:pd|pos(?:ition)?_d|d_pos(?:ition)?|down)$", name_without_unit(str(pose.channels["z"].source))
-        )
-    )
+    return _points(pose, "z", "d", "down")
+
+
+def is_up(pose: Recognised) -> bool:
+    """Whether the name of the vertical position says that it points up."""
+    return _points(pose, "z", "u", "up|alt|altitude")
+
+
+def is_east_and_north(pose: Recognised) -> bool:
+    """Whether the names of the horizontal position say east and north, in whichever order."""
+    return any(_points(pose, x, "e", "east") and _points(pose, y, "n", "north") for x, y in ("xy", "yx"))
+
+
+def is_directed(pose: Recognised) -> bool:
+    """Whether the names of a position say where its axes point, so that none of them is turned."""
+    return is_east_and_north(pose) or is_up(pose) or is_down(pose)
+
+
+def _points(pose: Recognised, axis: str, letter: str, words: str) -> bool:
+    said = rf"(?:^|_)(?:(?:p|pos(?:ition)?_?){letter}|{letter}_?pos(?:ition)?|{words})$"
+    return axis in pose.channels and bool(re.search(said, name_without_unit(str(pose.channels[axis].source))))
+
+
+def is_compass(pose: Recognised) -> bool:
+    """Whether the name of the heading is that of a compass, which counts clockwise from north."""
+    yaw = pose.channels.get("yaw")
+    return bool(yaw and re.search("(?:^|_)(?:heading|hdg|compass)$", name_without_unit(str(yaw.source))))
 
 
 def lacking(log: Log) -> str:
