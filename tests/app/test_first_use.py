@@ -5,10 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from numba.core.dispatcher import Dispatcher
 
 from flights import flown, steps
+from models import demo_card, model_of
 from rotorfit.app import first_use
+from rotorfit.app.cli import main
 from rotorfit.app.first_use import FITTING, PARTS, TRACKING, VALIDATION, compile_beforehand, spread
 from rotorfit.core import parallel
 from rotorfit.dynamics import (
@@ -23,6 +26,7 @@ from rotorfit.dynamics import (
     whitening,
 )
 from rotorfit.estimation.fitting import fit
+from rotorfit.files.models import save
 from rotorfit.simulation.paper_vehicle import Truth
 from rotorfit.tracking.replayed import tracked
 
@@ -126,6 +130,53 @@ def test_what_is_compiled_for_long_is_told(started: list[list[str]], monkeypatch
     assert started
     parts = [text.partition(", once after an installation: ")[0] for text in told]
     assert list(dict.fromkeys(parts)) == ["compiling the estimator", "compiling what follows a vehicle"]
+
+
+SHORT = "time,u_x,u_y,u_z,u_yaw,x,y,z,yaw\n" + "".join(f"{i / 50},1,1,1,1,{i},{i},{i},0\n" for i in range(20))
+
+CARD = """
+[command]
+time = "time"
+{}
+[pose]
+time = "time"
+x = "x"
+y = "y"
+z = "z"
+yaw = "yaw"
+"""
+
+GOOD, UNCOMMANDED = CARD.format('x = "u_x"'), CARD.format("")
+
+
+@pytest.mark.parametrize("card", [GOOD, UNCOMMANDED], ids=["good", "uncommanded"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["fit", "short.csv", "--card", "card.toml"],
+        ["fit", "missing.csv", "--card", "card.toml"],
+        ["track", "short.csv", "--card", "card.toml"],
+        ["validate", "model.json", "short.csv", "--card", "card.toml"],
+        ["compare", "model.json", "model.json", "short.csv"],
+        ["report", "model.json", "short.csv", "--card", "card.toml", "-o", "page.html"],
+        ["fly", "plan.toml", "--link", "sim", "--track", "-o", "flight.mcap"],
+    ],
+    ids=" ".join,
+)
+def test_errors_of_files_come_before_anything_is_compiled(
+    words: list[str], card: str, started: list[list[str]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("short.csv").write_text(SHORT)
+    Path("card.toml").write_text(card)
+    Path("plan.toml").write_text("")
+    save(model_of(card=demo_card()), Path("model.json"))
+
+    result = CliRunner().invoke(main, words)
+
+    assert result.exit_code == 1, result.output
+    assert "Error: " in result.stderr
+    assert not started
 
 
 @pytest.mark.parametrize("processes", [1, 2, 4, 99])

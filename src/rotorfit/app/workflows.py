@@ -16,7 +16,7 @@ from rotorfit.assessment.method_comparison import Ladder, ladder
 from rotorfit.assessment.mismatch import beginning
 from rotorfit.assessment.prior_influence import with_influence
 from rotorfit.assessment.uncertainty import with_uncertainty
-from rotorfit.assessment.validation import dynamics_from_model, validate_chosen
+from rotorfit.assessment.validation import check_validation, dynamics_from_model, validate_chosen
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, LogError, RotorfitError
 from rotorfit.core.flight_data import Flight, Note
@@ -32,7 +32,7 @@ from rotorfit.core.writing import check_place
 from rotorfit.diagnosis.card_choice import another_card, card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.estimation.excitation import without_idle_axes
-from rotorfit.estimation.fitting import fit, with_delay_profiles
+from rotorfit.estimation.fitting import check_fit, fit, with_delay_profiles
 from rotorfit.estimation.methods import BEST
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.kinds import KINDS
@@ -176,9 +176,11 @@ def fit_logs(
     prior: bool = False,
 ) -> Fit:
     """Reads logs and fits them together; the model gets its findings, and the accuracy table and priors if wanted."""
-    compile_beforehand(FITTING, progress)
     chosen = load_card(card) if isinstance(card, str) else card
-    flights = [_diagnosed(*one) for one in _all_flown(logs, chosen, progress=progress)]
+    flown = _all_flown(logs, chosen, progress=progress)
+    check_fit([flight for _, flight in flown], method, axes, structure, prior)
+    compile_beforehand(FITTING, progress)  # once what was given is known to be of use
+    flights = [_diagnosed(*one) for one in flown]
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
     if prior:
         result = with_influence(result)
@@ -218,10 +220,12 @@ def validate_logs(
 
     An axis that a log merely holds is left out if another log, or a flight of `beside`, moves it.
     """
-    compile_beforehand(VALIDATION, progress)
     own = card_from_mapping(model.card.raw, "the model's card")
     chosen = load_card(card) if isinstance(card, str) else card
-    flown = [_with_errors(*one) for one in _all_flown(logs, chosen, own, progress)]
+    read_logs = _all_flown(logs, chosen, own, progress)
+    check_validation(model, [flight for _, flight in read_logs], horizons)
+    compile_beforehand(VALIDATION, progress)  # once what was given is known to be of use
+    flown = [_with_errors(*one) for one in read_logs]
     flights = tuple(placed(model, flight) for flight in without_idle_axes(flown, beside))
     return validate_chosen(model, flights, horizons, progress, assumed=card is None), flights
 

@@ -96,6 +96,18 @@ def validate(
     return validate_chosen(model, without_idle_axes(flights), horizons, progress)
 
 
+def check_validation(model: Model, flights: Sequence[Flight], horizons: Sequence[float]) -> None:
+    """Refuses what `validate` refuses, with the same errors, and calls no kernel: nothing is compiled for an error."""
+    check_flights(flights)
+    if not flights:
+        raise FlightError("no flight to validate on: give at least one log")
+    if not horizons or min(horizons) <= 0:
+        raise FlightError(f"horizons must be positive seconds, not {', '.join(f'{h:g}' for h in horizons)}")
+    check_distinct(flights)
+    for flight in flights:
+        dynamics_from_model(model, flight)
+
+
 def validate_chosen(
     model: Model,
     flights: Sequence[Flight],
@@ -112,12 +124,7 @@ def validate_chosen(
         progress: As for `validate`.
         assumed: Whether flights that were read with the model's card had no other: nobody says that it is theirs.
     """
-    check_flights(flights)
-    if not flights:
-        raise FlightError("no flight to validate on: give at least one log")
-    if not horizons or min(horizons) <= 0:
-        raise FlightError(f"horizons must be positive seconds, not {', '.join(f'{h:g}' for h in horizons)}")
-    check_distinct(flights)
+    check_validation(model, flights, horizons)
     scores: dict[str, list[FlightScores]] = {name: [] for name in ("model", *BASELINES)}
     errors: dict[str, list[Mapping[str, StartErrors]]] = {name: [] for name in scores}
     tests, bands = [], []

@@ -94,9 +94,9 @@ def fit(
         CardError: Priors are requested and the card has none, or the method does not use the likelihood.
         ModelError: There is no such method or structure, or the structure does not go with the method or with priors.
     """
-    _check(flights, method, structure, prior)
+    check_fit(flights, method, axes, structure, prior)
     flights = without_held_axes(flights)
-    flights = [align_velocity(f, axes) for f in flights] if method == "ml" else _of_poses(flights, method, axes)
+    flights = [align_velocity(f, axes) for f in flights] if method == "ml" else _of_poses(flights, axes)
     priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     flights = placed_alike(flights, lambda some: _estimates(some, wanted))
@@ -269,8 +269,8 @@ def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Foun
     )
 
 
-def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) -> None:
-    """Refuses arguments that do not go together; see `fit`."""
+def check_fit(flights: Sequence[Flight], method: str, axes: Sequence[str], structure: str, prior: bool) -> None:
+    """Refuses what `fit` refuses, with the same errors, and calls no kernel: nothing is compiled for an error."""
     if method not in METHODS:
         raise ModelError(f"no such method: {method!r}; methods are {', '.join(METHODS)}")
     if structure not in (AUTO, AVERAGED):
@@ -292,6 +292,13 @@ def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) 
         raise CardError(
             "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
         )
+    for flight in flights:
+        lost = [axis for axis in AXES if axis in axes and axis in flight.velocity_only]
+        if lost and method not in ("ml", "paper"):  # the paper's needs derivatives alone: an integrated velocity does
+            raise FlightError(
+                f"{flight.path}: the method {method} needs positions, but {', '.join(lost)} "
+                f"{'has' if len(lost) == 1 else 'have'} only a velocity: use --method ml, or other --axes"
+            )
 
 
 def _but_errors(card: Card) -> Mapping[str, Any]:
@@ -305,19 +312,8 @@ def _but_errors(card: Card) -> Mapping[str, Any]:
     return raw
 
 
-def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> list[Flight]:
-    """The flights without velocities that were measured in addition to poses, with a note: only `ml` can use them.
-
-    Raises:
-        FlightError: The method needs positions, and one of the axes has only a velocity.
-    """
-    for flight in flights:
-        lost = [axis for axis in AXES if axis in axes and axis in flight.velocity_only]
-        if lost and method != "paper":  # the paper's regression needs derivatives alone: the integrated velocity does
-            raise FlightError(
-                f"{flight.path}: the method {method} needs positions, but {', '.join(lost)} "
-                f"{'has' if len(lost) == 1 else 'have'} only a velocity: use --method ml, or other --axes"
-            )
+def _of_poses(flights: Sequence[Flight], axes: Sequence[str]) -> list[Flight]:
+    """The flights without velocities that were measured in addition to poses, with a note: only `ml` can use them."""
     return [_without_velocity(f, axes) for f in flights]
 
 

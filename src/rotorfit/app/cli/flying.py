@@ -135,17 +135,18 @@ def fly(
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import ended_early, flown_view, next_command, preflight_view, status_line
     from rotorfit.core.errors import LinkError
+    from rotorfit.files.plans import load_plan
     from rotorfit.flying.links.sim import changes_missed
-    from rotorfit.flying.mission import flown_mapping, flown_mission, mission
+    from rotorfit.flying.mission import check_new, flown_mapping, flown_mission, mission
     from rotorfit.flying.preflight import refuse
 
     if not track and (after or gains is not None):
         raise click.UsageError("--after and --tune are for --track")
     if track:
+        check_new(output)
+        _check_tracking(load_plan(plan_path).card, after, gains)
         compiled_beforehand()
     with mission(plan_path, link, output, card, take_off, seed, poses) as wanted:
-        if track:
-            _check_tracking(wanted.plan.card, after, gains)
         if not as_json:
             _shown_first(preflight_view(wanted.plan, link, wanted.ready, wanted.link.fail_safe))
         refuse(wanted.ready)

@@ -319,10 +319,12 @@ def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight
     from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
     from rotorfit.flying.operator import operator_abort
-    from rotorfit.tracking.earlier import limits_of_earlier
+    from rotorfit.tracking.earlier import check_earlier, limits_of_earlier
     from rotorfit.tracking.replayed import tracked
 
     flight = load_flight(parse_log(log), asked.card)
+    if asked.earlier:
+        check_earlier(asked.earlier, flight.card)
     for note in flight.notes:
         if note.code.startswith("card_"):
             click.echo(f"{log}: {note.text}", err=True)
@@ -379,7 +381,7 @@ def _listened(
     from rotorfit.flying.links.sim import changes_missed
     from rotorfit.flying.listening import Listening
     from rotorfit.flying.operator import operator_abort
-    from rotorfit.tracking.earlier import limits_of_earlier
+    from rotorfit.tracking.earlier import check_earlier, limits_of_earlier
     from rotorfit.tracking.flight_so_far import UNRECORDED
     from rotorfit.tracking.tracker import Tracker
 
@@ -389,8 +391,10 @@ def _listened(
         asked.err.take(line_cleared)
         asked.err.take(lambda: click.echo(f"{link}: {text}", err=True))
 
-    for told in limits_of_earlier(asked.earlier, chosen) if asked.earlier else ():
-        say(told)
+    if asked.earlier:
+        check_earlier(asked.earlier, chosen)
+        for told in limits_of_earlier(asked.earlier, chosen):
+            say(told)
     compiled_beforehand()
     with operator_abort() as abort:
         listening = Listening(lambda: open_listener(link, chosen), patience, seconds, asked.pace or 1.0, abort)
