@@ -7,9 +7,9 @@ v' = a + c, where a follows d min(1, A / |d|) with |a'| <= J.
 
 import numpy as np
 
+from rotorfit.core.compiled import kernel
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DAMPING, GAIN, LAG, ORDER, TRIM
-from rotorfit.core.compiled import kernel
 from rotorfit.dynamics.general_step import lags_in_world
 
 
