@@ -21,7 +21,7 @@ from rotorfit.assessment.frequency.comparison import (
     response_test,
 )
 from rotorfit.assessment.frequency.law_test import law_test, matched
-from rotorfit.assessment.frequency.loop import answers_motion
+from rotorfit.assessment.frequency.loop import answers_motion, seem_to_answer
 from rotorfit.assessment.frequency.response import frequency_response, response_bands, response_of_bands
 from rotorfit.assessment.frequency.spectra import held_integrals, spectra_of, windows_of
 from rotorfit.core.flight_data import Flight, Segment
@@ -198,6 +198,19 @@ def test_a_turning_vehicle_is_no_loop(seed: int) -> None:
     flight = flown(alike, turning, 60.0, seed)
     assert np.ptp(flight.yaw) > np.radians(20)
     assert [frequency_response(flight, axis).why_none for axis in ("x", "y")] == ["", ""]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_long_legs_on_every_axis_are_no_loop(seed: int) -> None:
+    """Along the mean heading the commands turn with the vehicle, which gusts turn; as they are sent they do not."""
+    rng = np.random.default_rng(seed)
+    _, leg, half = rng.uniform(0.4, 3.0, (4, 2)), rng.uniform(0.0, 6.0, (4, 2))[:, 0], rng.uniform(4.0, 8.0, 4)
+
+    def legs(t: Array) -> Array:
+        return np.array([0.15, 0.15, 0.15, 0.05]) * np.sign(np.sin(np.pi * (t[:, None] / half + leg)))
+
+    flight = flown(replace(Truth(), wind_sigma=(0.3,) * 4, stale_share=0.0), legs, 90.0, seed)
+    assert not [axis for axis in AXES if seem_to_answer([flight], axis)]
 
 
 def test_windows_in_which_the_heading_turns_are_tested_beside_others_in_which_it_stays() -> None:

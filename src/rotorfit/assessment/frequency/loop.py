@@ -22,6 +22,9 @@ STEP = 0.04
 PAST = 1.0
 """How far back the prediction looks [s]."""
 
+SOONEST = 0.02
+"""Time in which no vehicle shows a command [s]: none responds sooner, most take three times as long."""
+
 LEAST = 4
 """Samples for each coefficient of the prediction below which there is no test."""
 
@@ -87,7 +90,10 @@ def _evidence(windows: Sequence[Window]) -> LoopEvidence:
 
 
 def _lagged(window: Window, step: float, past: int) -> tuple[Array, Array, Array]:
-    """Velocity over each step (S,), its predictors (S, C), and the command in that step (S,).
+    """Velocity over each step (S,), its predictors (S, C), and the command that may respond to it (S,).
+
+    That is the command as sent, the last that the step cannot show yet. One along the mean heading turns with the
+    vehicle, and of an earlier one the step shows a part of the next change: both follow the motion in an open loop.
 
     Where the heading turns within a window, what it brings in of the other command is a predictor, too: the command is
     that along the mean heading, and would seem to respond to what it leaves out. Elsewhere these columns are 0.
@@ -101,4 +107,5 @@ def _lagged(window: Window, step: float, past: int) -> tuple[Array, Array, Array
     across = [np.asarray(one)[np.clip(row, 0, window.command.size - 1)] for one in (window.turned, window.turning)]
     beside = [one[back] for one in across]
     X = np.hstack([velocity[back[:, 1:]], command[back], *beside, np.ones((rows.size, 1))])
-    return velocity[rows], X, command[rows]
+    last = np.searchsorted(window.switch, edge[1:] - min(SOONEST, step / 2), side="right") - 1
+    return velocity[rows], X, window.sent[np.clip(last, 0, window.sent.size - 1)][rows]

@@ -51,7 +51,8 @@ class Window:
         time: Stamps of the poses, shape (N,) [s].
         position: Position along the axis, shape (N,) [m or rad].
         switch: When each command begins to hold, and the end of the last, shape (M + 1,) [s]; from first to last pose.
-        command: Shape (M,).
+        command: Along the mean heading, shape (M,).
+        sent: As it was sent, along the heading then or in the world: it does not turn with the vehicle, shape (M,).
         turned: Change of the command due to the other axis per radian of heading off its mean, times the deviation of
             the heading from its mean, shape (M,); 0 for z and yaw.
         turning: The same times the rate of the heading, shape (M,).
@@ -62,6 +63,7 @@ class Window:
     position: Array
     switch: Array
     command: Array
+    sent: Array
     turned: Array
     turning: Array
     reference: Array | None
@@ -148,6 +150,7 @@ def _window(flight: Flight, axis: str, first: int, last: int) -> Window | None:
     row = np.maximum(np.searchsorted(flight.command_time, begin, side="right") - 1, 0)
     command, reference = flight.command[row], None if flight.reference is None else flight.reference[row]
     position = np.column_stack([flight.position, flight.yaw])[first:last]
+    sent = command[:, k]
     turned, rate, across = (np.zeros(begin.size) for _ in range(3))
     if k < 2:
         position = heading_from_world(position[:, :2], np.full(time.size, mean))
@@ -155,10 +158,11 @@ def _window(flight: Flight, axis: str, first: int, last: int) -> Window | None:
         rate = np.diff(np.interp(switch, time, yaw)) / np.diff(switch)
         across = command[:, 1 - k] * (1.0 if k else -1.0) * turning
         command = heading_from_world(command[:, :2], -turned)
+        sent = command[:, k] if flight.card.command_frame == "world" else sent
         if reference is not None:
             reference = heading_from_world(reference[:, :2], np.full(begin.size, mean))
     told = None if reference is None or not np.isfinite(reference[:, k]).all() else reference[:, k]
-    return Window(time, position[:, k], switch, command[:, k], across * turned, across * rate, told)
+    return Window(time, position[:, k], switch, command[:, k], sent, across * turned, across * rate, told)
 
 
 def highest_of(window: Window) -> float:
