@@ -348,6 +348,25 @@ def test_a_model_beside_a_flight_of_another_law_is_a_finding_and_a_table() -> No
     assert {"measured", "band", "model"} <= {line.role for line in gain.lines}
 
 
+@pytest.mark.parametrize(
+    ("p", "severity", "verdict"),
+    [(3e-4, "warning", "inconsistent"), (3e-3, "info", "inconsistent"), (0.03, None, "hardly consistent")],
+)
+def test_a_law_that_a_flight_rejects_is_a_finding_with_both_gains(p: float, severity: str | None, verdict: str) -> None:
+    (axes,) = response_test(model_of({"z": (3.0, 1.2, 0.25)}), [lagging()])
+    assert axes["z"].law is not None
+    told = replace(axes["z"], law=replace(axes["z"].law, p=p))
+
+    found = list(findings_of_responses([{"z": told}]))
+    assert [one.severity for one in found] == [severity] * bool(severity)
+    for one in found:
+        assert re.search(
+            r"at [\d.]+ rad/s, where the flight has gain [\d.]+ to [\d.]+ and .*the model [\d.]+", one.evidence
+        )
+        assert re.search(r"for commands that last about [\d.]+ s fit this flight together with those of", one.remedy)
+    assert f": {verdict} with the law" in response_line(told)
+
+
 def test_a_law_that_holds_with_other_numbers_than_the_models_says_so() -> None:
     """The test is of the law: without these words it reads as praise of a model whose delay is wrong throughout."""
     truth = Truth()

@@ -13,6 +13,9 @@ Spectrum = npt.NDArray[np.complex128]
 Instrument = Literal["command", "tones", "reference", "none"]
 
 
+DOUBTED = 0.01
+"""p-value below which a flight doubts the law of an axis: on one in twenty-five flights of four axes by chance."""
+
 KNOTS = 4
 """Number of lowest frequencies whose line of phases tells how many half turns the phase at rest is off."""
 

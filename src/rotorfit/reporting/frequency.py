@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rotorfit.core.frames import AXES, POSE_UNITS, Array
-from rotorfit.core.frequency_response import ResponseComparison
+from rotorfit.core.frequency_response import DOUBTED, ResponseComparison
 from rotorfit.reporting.views import Chart, Line
 
 Comparisons = Sequence[Mapping[str, ResponseComparison]]
@@ -47,7 +47,7 @@ def response_line(comparison: ResponseComparison) -> str:
     if law is None:
         return "the law has no frequency response to compare" if comparison.model is None else "too few for a test"
     many, missed = flight.frequency.size, _missed(comparison)
-    verdict = "inconsistent with the law for any coefficients"
+    verdict = "inconsistent with the law for any coefficients" if law.p < DOUBTED else "hardly consistent with the law"
     if law.p >= 0.05:
         other = f" at other coefficients, as the model misses a band at {missed} of {many}"
         verdict = f"consistent with the law{other if missed > max(1, many / 4) else ''}"

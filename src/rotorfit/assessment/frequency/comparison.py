@@ -16,7 +16,7 @@ from rotorfit.core import parallel
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.frequency_response import LawTest, ResponseComparison
+from rotorfit.core.frequency_response import DOUBTED, LawTest, ResponseComparison
 from rotorfit.core.laws import Structure, structure_named
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Model, Predictor, laws_of_vehicle
 from rotorfit.core.results import Motion
@@ -142,33 +142,34 @@ def combined(tests: Sequence[LawTest]) -> float:
     return float(chdtrc(2 * len(tests), -2 * sum(np.log(max(test.p, 1e-300)) for test in tests)))
 
 
-def refuted(tests: Sequence[LawTest]) -> bool:
-    """Whether the flights together refute the law of an axis beyond chance."""
-    return bool(tests) and combined(tests) < FINDING_LEVEL
-
-
 def findings_of_responses(comparisons: Sequence[Mapping[str, ResponseComparison]]) -> Iterator[Finding]:
-    """Findings from the responses of some flights, at most one per axis."""
+    """Findings from the responses of some flights, at most one per axis: a warning, or below `DOUBTED` an info.
+
+    The p-value counts all frequencies and flights of an axis.
+    """
     for axis in AXES:
         mine = [each[axis] for each in comparisons if axis in each]
         tests = [each.law for each in mine if each.law]
-        if not refuted(tests):
+        if not tests or (p := combined(tests)) >= DOUBTED:
             continue
         each = max((one for one in mine if one.law), key=lambda one: one.law.worst_sigmas if one.law else 0.0)
         assert each.law is not None
         where = int(np.argmin(np.abs(each.flight.frequency - each.law.worst)))
         low, high = each.flight.gain_band[where]
         early, late = each.flight.delay_band[where]
+        lasting = f"{np.pi / each.law.worst:.2g} s"
         yield Finding(
             "response_refutes_law",
-            "warning",
+            "warning" if p < FINDING_LEVEL else "info",
             f"no coefficients give the law of {axis} the frequency response of "
-            f"{'the flight' if len(tests) == 1 else 'the flights'} (p = {combined(tests):.1g}); largest deviation at "
+            f"{'the flight' if len(tests) == 1 else 'the flights'} (p = {p:.1g}); largest deviation at "
             f"{each.law.worst:.2g} rad/s, where the flight has gain {low:.3g} to {high:.3g} and delay "
             f"{1e3 * early:.0f} to {1e3 * late:.0f} ms, the model {each.model_gain[where]:.3g} and "
             f"{1e3 * each.model_delay[where]:.0f} ms",
             f"gain and delay of {axis} depend on the frequencies that were flown, and its coefficients with them",
-            "fit with a structure that has more to it, or use the model for motion like that of its flights only",
+            "use the model for motion like that of its flights; for commands that last about "
+            f"{lasting} fit {'this flight' if len(tests) == 1 else 'these flights'} together with those of the model, "
+            "or with a structure that has more to it",
             axis,
         )
 
