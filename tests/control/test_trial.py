@@ -77,7 +77,7 @@ def test_a_trial_uses_poses_as_old_as_the_gains_are_for(
 
     monkeypatch.setattr(trial, "commanded", look)
     monkeypatch.setattr(trial, "DURATIONS", {"circle": 6.0})
-    one = AxisTuning(law, 1.0, None, None, None, "")  # type: ignore[arg-type]
+    one = AxisTuning(law, 1.0, None, None, None, None, "")  # type: ignore[arg-type]
     tuning = Tuning("predictor", rate, latency, dict.fromkeys(AXES, one), {})
     model = model_of(TRUTH, card=card_from_mapping(BEBOP.card(), "bebop2"))  # type: ignore[arg-type]
     scores = try_tuning(tuning, model, "bebop2", seeds=1)

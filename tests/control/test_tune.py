@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_robustness import dragged, without_delays
 
-from models import VEHICLE, model_of, with_poses
+from models import VEHICLE, demo_card, model_of, with_poses
 from rotorfit.control.control_law import KINDS, Kind
 from rotorfit.control.margins import margins
 from rotorfit.control.robustness import believed_possible
@@ -150,6 +150,20 @@ def test_noisy_poses_get_a_slower_filter() -> None:
     assert first.noise < RESTLESS
     assert second.bandwidth < first.bandwidth
     assert np.all(np.array(second.law.observer) < np.array(first.law.observer))
+
+
+def test_noise_of_the_command_is_in_per_cent_of_a_full_scale_that_the_card_gives_only() -> None:
+    told = {}
+    for name, card in (("given", demo_card()), ("unknown", demo_card(x='{ from = "u_x" }'))):
+        model = model_of(card=card)
+        noisy = replace(model, axes={**model.axes, "x": replace(model.axes["x"], noise={"pose_variance": 1e-6})})
+        told[name] = tune(noisy, axes=("x",), draws=DRAWN).axes["x"]
+
+    assert told["given"].noise_text.endswith(" %")
+    assert told["given"].full_scale is not None
+    assert told["unknown"].full_scale is None
+    assert told["unknown"].noise is not None
+    assert float(told["unknown"].noise_text) == pytest.approx(told["unknown"].noise, rel=0.05)
 
 
 @pytest.mark.parametrize("code", ["delay_at_bound", "delay_negative", "unit_mistake"])

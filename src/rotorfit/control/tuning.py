@@ -7,7 +7,7 @@ loop. A model that is less certain gets slower gains, and one that is too uncert
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 import numpy as np
@@ -25,12 +25,14 @@ from rotorfit.control.robustness import (
     known_vehicle,
     robustness,
 )
+from rotorfit.core.card import Card
 from rotorfit.core.display import html_table, interval, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import WRONG_FRAME
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY, structure_named
+from rotorfit.core.limits import meaning_of
 from rotorfit.core.model import COEFFICIENTS, MEND, Axis, Model, first_order, pose_rates, unknown_why
 from rotorfit.core.plain import by_reason
 from rotorfit.planning.axis_information import AxisBelief
@@ -75,8 +77,8 @@ class AxisTuning:
         bandwidth: w [rad/s].
         margins: Margins around the model's estimate of the vehicle.
         robustness: Margins around the vehicles that the model considers possible.
-        noise: Standard deviation of the command due to the noise of poses, as a share of full scale; None if the model
-            has no noise or the card no full scale.
+        noise: Standard deviation of the command due to the noise of poses, in its own unit; None if the model has none.
+        full_scale: Largest command, in its own unit; None if the card gives none.
         note: Assumptions and warnings; empty if there are none.
     """
 
@@ -85,7 +87,15 @@ class AxisTuning:
     margins: Margins
     robustness: Robustness
     noise: float | None
+    full_scale: float | None
     note: str
+
+    @property
+    def noise_text(self) -> str:
+        """The noise of the command in per cent of full scale, or in the command's unit where that is not known."""
+        if self.noise is None:
+            return "-"
+        return f"{self.noise:.2g}" if self.full_scale is None else f"{100 * self.noise / self.full_scale:.1f} %"
 
 
 @dataclass(frozen=True)
@@ -264,9 +274,13 @@ def _fastest(
         else:
             continue
         noise = _command_noise(model, axis, law, own)
-        quietest = AxisTuning(law, bandwidth, margins(law, own), known, noise, _note(model, axis, law, noise))
-        if noise is None or noise <= RESTLESS:
+        restless = noise is not None and noise > RESTLESS * full_scale(model.card, axis)
+        note = _note(model, axis, law)
+        quietest = AxisTuning(law, bandwidth, margins(law, own), known, noise, _given_scale(model.card, axis), note)
+        if not restless:
             break
+        told = f"noise of the poses moves the command by {quietest.noise_text}: filter the poses"
+        quietest = replace(quietest, note="; ".join(filter(None, (note, told))))
     frozen = axis in frozen_axes(model.findings)
     remedy = MEND if frozen else "fly the next flight (`rotorfit plan --after`) and fit again"
     structure, status = model.axes[axis].structure, model.axes[axis].status
@@ -286,23 +300,29 @@ def _holds(known: Robustness, law: AxisLaw, peak: float) -> bool:
 
 
 def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: LoopVehicle) -> float | None:
-    """Standard deviation of the command due to white noise of the poses in the closed loop, as a share of full scale.
+    """Standard deviation of the command due to white noise of the poses in the closed loop, in its own unit.
 
     Source: the stationary covariance X = M X M' + B B' of a stable linear system.
     """
     from scipy.linalg import solve_discrete_lyapunov
 
-    variance, scale = model.axes[axis].noise.get("pose_variance"), full_scale(model.card, axis)
-    if variance is None or not np.isfinite(scale):
+    variance = model.axes[axis].noise.get("pose_variance")
+    if variance is None:
         return None
     M, states = closed_loop(law, vehicle), 3 if isinstance(vehicle, LaggedAxis) else 2
     B = np.zeros(len(M))
     B[states:] = linear_system(law, len(M) - states - 3)[1]
     command = states + 3
-    return float(np.sqrt(variance * solve_discrete_lyapunov(M, np.outer(B, B))[command, command]) / scale)
+    return float(np.sqrt(variance * solve_discrete_lyapunov(M, np.outer(B, B))[command, command]))
 
 
-def _note(model: Model, axis: str, law: AxisLaw, noise: float | None) -> str:
+def _given_scale(card: Card, axis: str) -> float | None:
+    """Largest command of an axis as the card gives it; None where it says neither what a command means nor a limit."""
+    scale = full_scale(card, axis)
+    return scale if meaning_of(card, axis).asked is not None and np.isfinite(scale) else None
+
+
+def _note(model: Model, axis: str, law: AxisLaw) -> str:
     """The assumptions and warnings about the gains of an axis."""
     wrong = [one for one in model.findings if one.code in WRONG_FRAME and axis in ("x", "y")]
     notes = [f"made in a wrong frame: {one.evidence}; {one.remedy}" for one in wrong]
@@ -332,8 +352,6 @@ def _note(model: Model, axis: str, law: AxisLaw, noise: float | None) -> str:
         notes.append(
             f"the delay of the model is {delay:.2g} s, but no vehicle moves before its command: tuned for none"
         )
-    if noise is not None and noise > RESTLESS:
-        notes.append(f"noise of the poses moves the command by {100 * noise:.0f} % of full scale: filter the poses")
     return "; ".join(notes)
 
 

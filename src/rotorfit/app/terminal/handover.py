@@ -88,7 +88,8 @@ def tuning_view(tuning: Tuning, card: Card) -> View:
     yield Text(
         f"Of the model itself, then what 95 % of {draws.draws} vehicles drawn from its covariance keep (seed "
         f"{draws.seed}; none is unstable): gain: a factor, deg, s. peak: of the sensitivity; the delay margin must "
-        f"be {DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, % of full scale.",
+        f"be {DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, "
+        "% of full scale, or in its own unit where the card gives no full scale.",
         style="dim",
     )
     yield from bullets([tuning.note] if tuning.note else [])
@@ -155,7 +156,7 @@ def _margins(one: AxisTuning) -> list[str]:
         f"{math.degrees(believed.phase):.0f}",
         _seconds(believed.delay),
         f"{believed.peak:.2f}",
-        "-" if one.noise is None else f"{100 * one.noise:.1f}",
+        one.noise_text,
     ]
 
 
