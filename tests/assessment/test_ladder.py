@@ -16,6 +16,7 @@ from rich.console import Console, Group
 from flights import flown, steps, truth_of
 from rotorfit.app.cli import main
 from rotorfit.app.terminal.scores import ladder_view
+from rotorfit.assessment import method_comparison
 from rotorfit.assessment.method_comparison import (
     DIFFERS,
     NOT_VALID,
@@ -286,7 +287,11 @@ def test_the_verb_gives_json_and_fit_takes_the_rungs(bag: Path, tmp_path: Path) 
     assert error == pytest.approx(found["svf"]["prediction"])
 
 
-def test_where_the_heading_turns_x_without_the_commanded_y_is_told_to_be_predicted_without_it() -> None:
+def test_where_the_heading_turns_x_without_the_commanded_y_is_told_to_be_predicted_without_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By two of the rungs: what is told is of the axes that are asked for, whatever fits them."""
+    monkeypatch.setattr(method_comparison, "compared_methods", lambda: ("svf", BEST))
     flight = flown(Truth(), steps(("x", "y", "yaw"), seed=1), 12.0, 1)
 
     found = {axes: [one.axis for one in ladder([flight], axes).findings if one.code == "other_axis_unknown"]
