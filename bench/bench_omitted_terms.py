@@ -75,7 +75,7 @@ def main() -> None:
                     held += holds(model, vehicle, k)
                     tests = {one.test for one in model.axes[AXES[k]].evidence}
                     told += vehicle.omitted in tests
-                    others += bool(tests & {"bound", "jerk", "drag"} - {vehicle.omitted})
+                    others += bool(tests & {"bound", "jerk", "drag", "slow"} - {vehicle.omitted})
             print(
                 f"{vehicle.omitted:7} {size:6.2f} {100 * np.mean(added):5.0f} % {100 * np.mean(held):5.0f} % of "
                 f"{len(held):3} {told:5} of {2 * asked.flights:2} {others:5}",
