@@ -1,13 +1,12 @@
-"""Terms that the law leaves out: told where they act, by how much they bias, and only there; and final speeds."""
+"""Terms that the law leaves out: told where they act, by how much they bias, and only there."""
 
 import math
-from dataclasses import replace
 from functools import cache
 
 import pytest
 
 from limited_flights import BOUND, POINTS, flown, looped
-from rotorfit.assessment.law_findings import final_speed_findings, law_findings
+from rotorfit.assessment.law_findings import law_findings
 from rotorfit.core.model import COEFFICIENTS, Axis, Evidence
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
@@ -98,21 +97,3 @@ def test_a_loop_with_an_integral_part_ends_at_what_is_commanded_and_its_law_is_d
     assert inside(1.0, axis.combinations["steady_gain"].ci95)
     assert not inside(1.0, axis.combinations["steady_gain"].ci95_flight)
     assert "of 9 s and more" in next(law_findings("x", axis)).remedy
-
-
-def test_a_final_speed_that_the_data_seem_to_deny_is_told_with_what_they_say() -> None:
-    found = fit([looped(3.0)], axes=("x",), structure="first_order_delay_lag")
-    axis = replace(found.model.axes["x"], evidence=())  # as if the test of the law had not been sure
-
-    (one,) = final_speed_findings("x", axis, found.estimates["x"])
-
-    low, high = (float(end) for end in one.evidence.split("data tell ")[1].split(" to "))
-    assert low < high < axis.combinations["steady_gain"].value
-    assert not list(final_speed_findings("x", found.model.axes["x"], found.estimates["x"]))  # the evidence says it
-
-
-def test_of_a_vehicle_that_obeys_the_law_no_final_speed_is_doubted() -> None:
-    for size in (0.4, 0.8):
-        found = fitted(size)
-        for name in "xy":
-            assert not list(final_speed_findings(name, found.model.axes[name], found.estimates[name]))

@@ -14,7 +14,6 @@ from rotorfit.assessment.frequency.loop import seem_to_answer
 from rotorfit.assessment.law_findings import (
     contradicted,
     disagreement_findings,
-    final_speed_findings,
     law_findings,
     with_size,
 )
@@ -186,7 +185,6 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += law_findings(name, axis, stamped)
         if axis.predictor and name in fit.estimates and name not in wrong:
             found += _slow_findings(name, k, axis, flights)
-            found += final_speed_findings(name, axis, fit.estimates[name])
             found += _feedback_findings(name, fit.estimates[name])
             found += changed
             if name in fit.braking:

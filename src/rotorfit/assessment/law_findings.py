@@ -1,6 +1,5 @@
 """Fit -> findings: evidence against the law of an axis, and the flights that differ from the others."""
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -9,9 +8,9 @@ import numpy as np
 from rotorfit.assessment.uncertainty import serving_flights
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
-from rotorfit.core.model import NORMAL, Axis, Predictor, Spread, first_order_beside
+from rotorfit.core.model import Axis, Predictor, Spread, first_order_beside
 from rotorfit.core.results import Fit
-from rotorfit.estimation.judgement.omitted_terms import SLOW, freed_steady_gain
+from rotorfit.estimation.judgement.omitted_terms import SLOW
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
 
@@ -33,10 +32,6 @@ STAMPS_ALONE = (
     "log commands by themselves, each with its own stamp, before you doubt the law: those of rows are late by another "
     "part of a row each time, which alone can look like this; then "
 )
-
-EXTRAPOLATED = 3.0
-"""Standard errors by which the steady gain of the data alone differs from the law's where that is told: the test of the
-law needs 4, because it tries many terms."""
 
 SMALLER = (
     "fit flights whose commands all have the size that the model is wanted for: smaller ones where large ones reach a "
@@ -168,35 +163,6 @@ def _rejected(name: str, axis: Axis) -> Iterator[Finding]:
         f"the intervals of {name} hold as far as {chosen.structure} does; what it leaves out may be in them",
         f"fit with --structure {likeliest.structure}, too, and compare; a longer flight, or several, decides by its "
         "predictions",
-        name,
-    )
-
-
-def final_speed_findings(name: str, axis: Axis, estimate: Estimate) -> Iterator[Finding]:
-    """A steady gain that the law extrapolates, where commands that last seem to be answered otherwise than short ones.
-
-    Args:
-        name: Name of the axis.
-        axis: The axis as fitted.
-        estimate: Its estimate by the likelihood.
-    """
-    told, lag = axis.combinations.get("steady_gain"), axis.combinations.get("total_lag")
-    if told is None or lag is None or not 0 < lag.value < SLOW:
-        return
-    if any(one.test == "slow" for one in axis.evidence) or "refuted" in axis.status.values():
-        return
-    freed = freed_steady_gain(estimate)
-    if freed is None or abs(freed[0]) < EXTRAPOLATED * freed[1]:
-        return
-    ends = sorted(told.value * math.exp(freed[0] + end * NORMAL * freed[1]) for end in (-1, 1))
-    yield Finding(
-        "final_speed_extrapolated",
-        "info",
-        f"the steady gain of {name}, {told.value:.3g}, supposes that commands that last are answered as short ones; "
-        f"without that the data tell {ends[0]:.3g} to {ends[1]:.3g}",
-        f"final speed and slow motion of {name} are extrapolated, and wrong of a velocity loop with an integral part; "
-        "motion like that flown is not concerned",
-        f"hold some commands of {name} for {3 * SLOW:.0f} s or more",
         name,
     )
 

@@ -35,6 +35,13 @@ LAGGING = (
 """The usual cause of a tilt that has less effect than it should, if the card is right."""
 
 
+OVERSHOOT = (
+    "; if they are right, the law may take the overshoot of an integral part for the final speed: hold some commands "
+    "for 9 s or more"
+)
+"""The usual cause of a final speed above the one commanded, if the card is right."""
+
+
 def findings_of_settings(model: Model) -> tuple[Finding, ...]:
     """Where a model contradicts its card's limits, the symmetry of x and y, or published values.
 
@@ -67,7 +74,8 @@ def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
         f"gains of {axis} that are converted to other limits or compared with other flights are off by this factor; "
         "predictions under the settings of these flights are not",
         f"check [limits] of the card against the settings in these flights, unit and scale of the {axis} command"
-        + (LAGGING if meaning.asked == "tilt" and ratio.value < 1 else ""),
+        + (LAGGING if meaning.asked == "tilt" and ratio.value < 1 else "")
+        + (OVERSHOOT if meaning.asked != "tilt" and ratio.value > 1 else ""),
         axis,
     )
 
@@ -83,8 +91,8 @@ def _above_command(model: Model, axis: str) -> Iterator[Finding]:
     yield Finding(
         "final_speed_above_command",
         "warning",
-        f"{axis} ends at {ratio.value:.3g} times what is commanded (95 %: {low:.3g} to {high:.3g}): no velocity loop "
-        "does",
+        f"the law of {axis} ends at {ratio.value:.3g} times what is commanded (95 %: {low:.3g} to {high:.3g}), where a "
+        "velocity loop ends at it or below",
         f"final speed and slow motion of {axis} are extrapolated from short commands: a loop with an integral part "
         "overshoots, and then ends at what is commanded; motion like that flown is not concerned",
         f"hold some commands of {axis} until the speed is steady, for 9 s or more; and check the unit of the command",

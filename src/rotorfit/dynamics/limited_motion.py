@@ -2,7 +2,7 @@
 
 A velocity loop asks for the acceleration d = q - b v, where q is the demand g u(t - tau), behind a lag where there is
 one. Its vehicle gives no more than A, in the direction asked for, and changes it by no more than J in a second:
-v' = a + c, where a follows d min(1, A / |d|) with |a'| <= J.
+v' = a + trim, where a follows d min(1, A / |d|) with |a'| <= J.
 """
 
 import numpy as np

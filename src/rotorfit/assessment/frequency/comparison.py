@@ -161,15 +161,15 @@ def findings_of_responses(comparisons: Sequence[Mapping[str, ResponseComparison]
         yield Finding(
             "response_refutes_law",
             "warning" if p < FINDING_LEVEL else "info",
-            f"no coefficients give the law of {axis} the frequency response of "
-            f"{'the flight' if len(tests) == 1 else 'the flights'} (p = {p:.1g}); largest deviation at "
+            f"{'no' if p < FINDING_LEVEL else 'hardly any'} coefficients give the law of {axis} the frequency response "
+            f"of {'the flight' if len(tests) == 1 else 'the flights'} (p = {p:.1g}); largest deviation at "
             f"{each.law.worst:.2g} rad/s, where the flight has gain {low:.3g} to {high:.3g} and delay "
             f"{1e3 * early:.0f} to {1e3 * late:.0f} ms, the model {each.model_gain[where]:.3g} and "
             f"{1e3 * each.model_delay[where]:.0f} ms",
             f"gain and delay of {axis} depend on the frequencies that were flown, and its coefficients with them",
-            "use the model for motion like that of its flights; for commands that last about "
-            f"{lasting} fit {'this flight' if len(tests) == 1 else 'these flights'} together with those of the model, "
-            "or with a structure that has more to it",
+            f"use the model for motion like that of its flights; for commands that last about {lasting} fit "
+            f"{'this flight' if len(tests) == 1 else 'these flights'} together with those of the model, or try "
+            "--structure auto",
             axis,
         )
 

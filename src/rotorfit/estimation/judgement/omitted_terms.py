@@ -3,9 +3,9 @@
 A vehicle that obeys the law and, one time, such a term has innovations that contain the response to the term, less
 what the fit has absorbed of it. Regressed on that response, they give a factor: 0 without the term; 1 with a limit of
 the size that is tried; of drag, the coefficient in units of b over the root mean square of the speed; of a slow part,
-the share by which commands that last are answered with more acceleration than short ones, as by an integral part. What
-the fit has absorbed is known, too: the estimates are off by minus the factor times their weights' sum over the
-response. The sizes of the limits are not known, so several are tried, each of which takes off another share.
+the share by which commands that last are answered otherwise than short ones, as by an integral part. What the fit has
+absorbed is known, too: the estimates are off by the factor times their weights' sum over the response. The sizes of the
+limits are not known, so several are tried, each of which takes off another share.
 
 General tests of the law hardly see such terms, because lag and damping take their place, and their intervals exclude
 the vehicle's values in small motion, or the final speed.
@@ -23,11 +23,10 @@ import numpy as np
 from rotorfit.core.frames import Array, heading_from_world, world_from_heading
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, GAIN, TRIM
 from rotorfit.dynamics.limited_motion import limited_motion
-from rotorfit.estimation.judgement.residual_variance import Weighted, orthonormal, weighted_innovations, widening
+from rotorfit.estimation.judgement.residual_variance import Weighted, orthonormal
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import Record
-from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.estimation.likelihood.likelihood import segments, whiten
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.regression.paper import newey_west
@@ -43,9 +42,6 @@ JERKS = 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0
 
 SLOW = 3.0
 """Time over which commands are averaged to give their slow part [s]."""
-
-EXTRAPOLATED = "steady_gain", "total_lag"
-"""What a slow part concerns: the answer to slow commands. The law still describes that to short ones."""
 
 STEP = 0.02
 """Step of the grid [s]: short beside the shortest time constants of a vehicle."""
@@ -89,7 +85,7 @@ def omitted_term(estimate: Estimate, weighted: Sequence[Weighted], errors: Mappi
 
     if not _applies(estimate):
         return None
-    terms = list(_terms([_grids(*one) for one in _flights(estimate)]))
+    terms = list(_terms([_grids(*one) for one in _flights(estimate)], estimate.place))
     responses = _responses(estimate, terms)
     factor, error = _factors(weighted, responses)
     z = np.where([one.kind == "slow" for one in terms], np.abs(factor), factor) / error
@@ -98,41 +94,16 @@ def omitted_term(estimate: Estimate, weighted: Sequence[Weighted], errors: Mappi
     if not np.isfinite(likelier).any():
         return None
     a = int(np.argmax(likelier))
-    term, sides = terms[a], 2 if terms[a].kind == "slow" else 1
+    term, tests = terms[a], sum(2 if one.kind == "slow" else 1 for one, e in zip(terms, error, strict=True) if e < 1)
     taken = float(np.sqrt(max(factor[a] ** 2 - error[a] ** 2, 0.0)))
-    absorbed = _absorbed(weighted, [rows[..., a] for rows in responses])
+    wrong = _errors(term, list(errors), weighted, [rows[..., a] for rows in responses])
     return OmittedTerm(
         term.kind,
         term.size * (float(factor[a]) if term.kind in ("drag", "slow") else 1.0),
         max(float(z[a]), 0.0) ** 2,
-        min(1.0, int(np.sum(error < 1)) * sides * float(ndtr(-z[a]))),
-        {
-            name: taken * abs(float(absorbed[q])) / errors[name]
-            for q, name in enumerate(errors)
-            if term.kind != "slow" or name in EXTRAPOLATED
-        },
+        min(1.0, tests * float(ndtr(-z[a]))),
+        {name: taken * abs(by) / errors[name] for name, by in wrong.items()},
     )
-
-
-def freed_steady_gain(estimate: Estimate) -> tuple[float, float] | None:
-    """What the flights tell of the final speed if commands that last have an answer of their own.
-
-    Args:
-        estimate: Estimate by the likelihood.
-
-    Returns:
-        Difference of the logarithm of the steady gain from that under the law, and its standard error; None where the
-        law has no steady gain or is not tested.
-    """
-    wanted = estimands(estimate.optimum, estimate.place).get("steady_gain")
-    if wanted is None or not _applies(estimate):
-        return None
-    weighted = weighted_innovations(estimate, [wanted])
-    own = wanted.error(estimate.optimum) * widening(weighted, [wanted.name])[wanted.name]
-    responses = _responses(estimate, [_slow([_grids(*one) for one in _flights(estimate)])])
-    factor, error = _factors(weighted, responses)
-    by = 1 - float(_absorbed(weighted, [rows[..., 0] for rows in responses])[0])  # it is in the steady gain itself, too
-    return float(factor[0]) * by, float(np.hypot(error[0] * by, own))
 
 
 def _applies(estimate: Estimate) -> bool:
@@ -151,9 +122,16 @@ def _factors(weighted: Sequence[Weighted], responses: Sequence[Array]) -> tuple[
     return factor, np.sqrt(np.maximum(variance, power)) / power
 
 
-def _absorbed(weighted: Sequence[Weighted], rows: Sequence[Array]) -> Array:
-    """What a term with a factor of 1 adds to the estimates, (Q,), from its whitened responses (B, K)."""
-    return np.asarray(sum(np.einsum("bk,bkq->q", own, one.weight) for one, own in zip(weighted, rows, strict=True)))
+def _errors(
+    term: "_Term", names: Sequence[str], weighted: Sequence[Weighted], rows: Sequence[Array]
+) -> dict[str, float]:
+    """Errors of the estimates by a term with a factor of 1, from its whitened responses (B, K).
+
+    Of a slow part only the answer to commands that last is wrong: the law still describes that to short ones.
+    """
+    absorbed = sum(np.einsum("bk,bkq->q", own, one.weight) for one, own in zip(weighted, rows, strict=True))
+    concerned = ("steady_gain", "total_lag") if term.kind == "slow" else names
+    return {name: float(absorbed[q]) for q, name in enumerate(names) if name in concerned}
 
 
 def _left(one: Weighted, rows: Array) -> Array:
@@ -199,8 +177,8 @@ class _Grid:
         return limited_motion(STEP, self.command, self.yaw, self.law, self.velocity, acceleration, jerk)
 
 
-def _terms(flights: Sequence[Sequence[_Grid]]) -> Iterator[_Term]:
-    """The terms that are tried, from the grids of each flight."""
+def _terms(flights: Sequence[Sequence[_Grid]], k: int) -> Iterator[_Term]:
+    """The terms that are tried on axis k, from the grids of each flight."""
 
     def added(acceleration: float = np.inf, jerk: float = np.inf) -> list[Array]:
         return [np.concatenate([part.limited(acceleration, jerk)[1] for part in parts]) for parts in flights]
@@ -219,7 +197,7 @@ def _terms(flights: Sequence[Sequence[_Grid]]) -> Iterator[_Term]:
     yield _slow(flights)
     damping = flights[0][0].law[:, DAMPING]
     by_speed = [[-damping * np.linalg.norm(v, axis=1)[:, None] / speed * v for *_, v in parts] for parts in free]
-    yield _Term("drag", float(np.mean(damping)) / speed, [np.concatenate(parts) for parts in by_speed])
+    yield _Term("drag", float(damping[k]) / speed, [np.concatenate(parts) for parts in by_speed])
 
 
 def _slow(flights: Sequence[Sequence[_Grid]]) -> _Term:
