@@ -369,7 +369,7 @@ def test_other_axes_that_changed_at_the_same_instant_are_part_of_the_alarm(monke
     def at_first(*seen):  # type: ignore[no-untyped-def]
         calls.append(1)
         named = told(*seen)
-        return named if len(calls) > 2 else replace(named, cause="thrust", axes=("yaw",), change={})
+        return named if len(calls) > 2 else replace(named, cause="thrust", axes=("yaw",), shifted=(), change={})
 
     monkeypatch.setattr(following_module, "diagnosed", at_first)
     flight, following = flown(TRUTH, steps(seed=6), 25.0, seed=6), Following(LAW)

@@ -481,8 +481,7 @@ class _Jolts:
         product, power: Inner product of the jolt's shape with the innovations, and with itself, less what the
             coefficients of the regime explain, shape (n,).
         wrong: Largest square that a wrong pose would explain instead, at any block since the first instant.
-        variance: Variance of the filter's normalised output, from its past and from the doubts about the law, shape
-            (n,).
+        variance: Variance of the filter's normalised output, from its past.
         freedom: Degrees of freedom of that variance.
     """
 
@@ -490,7 +489,7 @@ class _Jolts:
     product: Array
     power: Array
     wrong: float
-    variance: Array
+    variance: float
     freedom: float
 
 
@@ -506,7 +505,7 @@ def _jolts_of(scores: Scores, back: float) -> _Jolts | None:
         return None
     under = now_of(scores)
     h, *wrongs = under.jolts[first:end].T
-    product, power, across = _matched(under, h, new)
+    product, power = _matched(under, h, new)
     since = np.arange(new[0], scores.time.size)  # a wrong pose may be the last one: a jolt takes longer to be visible
     wrong = [_matched(under, each, since) for each in wrongs]
     h, before = scores.jolts[first:end, 0], scores.innovation[: new[0]]
@@ -514,10 +513,10 @@ def _jolts_of(scores: Scores, back: float) -> _Jolts | None:
     freedom = chunks * min(3.0 * float(usual.mean() ** 2 / max(np.mean(usual**2), 1e-300)), 1.0)
     largest = float(np.quantile(usual, RARE)) / RARE_OF_NORMAL
     variance = MARGIN * max(float(usual.mean()), largest, 1.0)
-    most = max(float((p**2 / np.maximum(q, 1e-300)).max()) for p, q, _ in wrong)
-    seen = power > VISIBLE
-    product, power, across = seen * product, np.where(seen, power, 1e-300), seen * across
-    return _Jolts(scores.time[new], product, power, most, variance + scores.doubt**2 @ across**2 / power, freedom)
+    most = max(float((p**2 / np.maximum(q, 1e-300)).max()) for p, q in wrong)
+    seen = power > VISIBLE  # all else is not tested, or is what unknown coefficients do
+    product, power = seen * product, np.where(seen, power, 1e-300)
+    return _Jolts(scores.time[new], product, power, most, variance, freedom)
 
 
 def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tuple[str, ...], Contrast]:
@@ -530,14 +529,14 @@ def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tu
     if len(found) < len(scored) or any(not np.array_equal(one.time, found[0].time) for one in found):
         return {}
     gain = np.array([one.product**2 / one.power for one in found])
-    told = (gain / np.array([one.variance for one in found])).sum(axis=0)
+    told = (gain / np.array([[one.variance] for one in found])).sum(axis=0)
     best = int(np.argmax(told))
     if gain[:, best].sum() < sum(one.wrong for one in found):
         return {}
     p_value = float(_p_value(float(told[best]), len(found), min(one.freedom for one in found)))
     out = {}
     for scores, one in zip(scored, found, strict=True):
-        size, power = float(one.product[best] / one.power[best]), float(one.power[best] / one.variance[best])
+        size, power = float(one.product[best] / one.power[best]), float(one.power[best]) / one.variance
         trim = np.array([name.endswith(".trim") for name in scores.names])
         statistic = size**2 * power
         out[scores.names] = Contrast(
@@ -546,21 +545,17 @@ def _jolted(scored: Sequence[Scores], jolts: Sequence[_Jolts | None]) -> dict[tu
     return out
 
 
-def _matched(scores: Scores, h: Array, at: Indices) -> tuple[Array, Array, Array]:
-    """A shape that begins at each of some rows, against the innovations.
+def _matched(scores: Scores, h: Array, at: Indices) -> tuple[Array, Array]:
+    """Inner products of a shape from each of some rows on with the innovations, and with itself, shape (n,) each.
 
-    An axis whose commands have only just begun answers by coefficients that the regime does not know: what they explain
-    of the shape is no jolt.
-
-    Returns:
-        Its inner products with the innovations and with itself, less what the coefficients of the regime explain, shape
-        (n,) each, and those with the sensitivities to the parameters that may change, shape (P, n).
+    What the coefficients of the regime explain is taken off: an axis whose commands have only just begun answers by
+    coefficients that nobody knows yet, and its answer is no jolt.
     """
     first = int(at.min())
     later = np.vstack([scores.rows[first : int(at.max()) + h.size], np.zeros((h.size, scores.rows.shape[1]))])
     across = np.array([np.correlate(column, h, "valid")[at - first] for column in later.T])
     rows = np.minimum(scores.time.size - at, h.size)
-    return *less_what_is_unknown(scores, across, np.cumsum(h**2)[rows - 1]), across[1 : 1 + len(scores.names)]
+    return less_what_is_unknown(scores, across, np.cumsum(h**2)[rows - 1])
 
 
 @functools.cache
