@@ -22,6 +22,7 @@ import numpy as np
 
 from rotorfit.core.frames import Array, heading_from_world, world_from_heading
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, GAIN, TRIM
+from rotorfit.dynamics.first_order_low_pass import first_order_low_pass
 from rotorfit.dynamics.limited_motion import limited_motion
 from rotorfit.estimation.judgement.residual_variance import Weighted, orthonormal
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
@@ -207,13 +208,10 @@ def _slow(flights: Sequence[Sequence[_Grid]]) -> _Term:
 
 def _averaged(part: _Grid) -> Array:
     """The demand of a segment averaged over `SLOW`, in the heading frame, (G, K)."""
-    from scipy.signal import lfilter
-
-    demand, keep = part.command * part.law[:, GAIN], np.exp(-STEP / SLOW)
-    turns = demand.shape[1] == 2
-    world = world_from_heading(demand, part.yaw) if turns else demand
-    mean = lfilter([1 - keep], [1, -keep], world, axis=0)
-    return np.asarray(heading_from_world(mean, part.yaw) if turns else mean)
+    demand, keep = part.command * part.law[:, GAIN], float(np.exp(-STEP / SLOW))
+    if demand.shape[1] == 1:
+        return first_order_low_pass(demand, keep)
+    return heading_from_world(first_order_low_pass(world_from_heading(demand, part.yaw), keep), part.yaw)
 
 
 def _bounds(asked: Array) -> list[float]:
