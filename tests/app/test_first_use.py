@@ -1,5 +1,6 @@
 """What is compiled beforehand: once, in processes of its own; and a fit compiles nothing else."""
 
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 from numba.core.dispatcher import Dispatcher
 
 from flights import flown, steps
+from logs import CARD
 from models import demo_card, model_of
 from rotorfit.app import first_use
 from rotorfit.app.cli import main
@@ -132,21 +134,10 @@ def test_what_is_compiled_for_long_is_told(started: list[list[str]], monkeypatch
     assert list(dict.fromkeys(parts)) == ["compiling the estimator", "compiling what follows a vehicle"]
 
 
-SHORT = "time,u_x,u_y,u_z,u_yaw,x,y,z,yaw\n" + "".join(f"{i / 50},1,1,1,1,{i},{i},{i},0\n" for i in range(20))
+SHORT = "time,cmd_x,x,y,z,yaw\n" + "".join(f"{i / 50},1,{i},{i},{i},0\n" for i in range(20))
 
-CARD = """
-[command]
-time = "time"
-{}
-[pose]
-time = "time"
-x = "x"
-y = "y"
-z = "z"
-yaw = "yaw"
-"""
-
-GOOD, UNCOMMANDED = CARD.format('x = "u_x"'), CARD.format("")
+UNCOMMANDED = re.sub('[xyzaw]+ = "cmd_.*\n', "", CARD)
+GOOD = UNCOMMANDED.replace("[pose]", 'x = "cmd_x"\n[pose]')
 
 
 @pytest.mark.parametrize("card", [GOOD, UNCOMMANDED], ids=["good", "uncommanded"])

@@ -408,12 +408,10 @@ class Following:
         if not calm(scored[names], earlier, best.since, p_value):
             self._suspected = suspected or now
             return None  # the air, not the vehicle
-        if not seen_in_z_or_yaw(looked, first) and self._at_rest(flight, now, groups, names, earlier, threshold):
+        change = flight, now, groups, names, earlier, threshold
+        if (not seen_in_z_or_yaw(looked, first) and self._at_rest(*change)) or self._under_another_law(*change):
             self._suspected = suspected or now  # a change that is barely seen may show in the answers a moment later
-            return None  # the vehicle has not changed: it obeys another law at rest
-        if self._under_another_law(flight, now, groups, names, earlier, threshold):
-            self._suspected = suspected or now
-            return None  # the vehicle has not changed: until now its answers could not tell one law from another
+            return None  # the vehicle has not changed: it obeys another law at rest, or another than was held so far
         if self._told and is_same(self._told.alarm, since, now):
             self._raised = replace(self._told, found=now, names=names, contrast=first, p_value=p_value, looked=looked)
             return None  # nothing new, but more of it

@@ -23,7 +23,7 @@ PAST = 1.0
 """How far back the prediction looks [s]."""
 
 SOONEST = 0.02
-"""Time in which no vehicle shows a command [s]: none responds sooner, most take three times as long."""
+"""Time in which a vehicle is taken not to show a command yet [s]: radio, attitude loop and rotors take longer."""
 
 LEAST = 4
 """Samples for each coefficient of the prediction below which there is no test."""
