@@ -41,11 +41,25 @@ SECANT_BELOW = 20.0
 """Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
 
 
+CUT = 4
+"""Passes of a line search from which the step counts as cut short: then the information is damped..."""
+
+RIDGE = 0.01
+"""... at first by this share of its diagonal. Where lag and damping are two equal poles, exchanging them has no effect
+to first order: the information says nothing of their difference, and steps along it are far too long."""
+
+MOST_RIDGE = 0.5
+"""Share from which a step that raises nothing ends the climb."""
+
 SHORTER = 0.5
 """Share of the blocks below which it pays to climb first on stretches of the flights..."""
 
 NEAR_ENOUGH = 0.1
 """... and expected gain in log-likelihood at which that climb stops."""
+
+HIGHER = 0.05
+"""Rise of the log-likelihood by other levels alone from which all parameters are climbed there. In 18 second climbs
+under richer laws on 8 recorded and simulated flights this missed no rise above 0.01."""
 
 LINEAR = 0.3
 """Largest change of a log level over which the adjustment is taken to first order. Over longer ones a climb can go to
@@ -170,15 +184,16 @@ def maximise(
     objective = _Objective(records, restricted, prior, linear, LINEAR)
     best = objective.near(point)
     passes, active, fresh = 1, free & ~at_bound(point, best.gradient), inverse is None
+    ridge = 0.0
     while True:
         movable = free & ~at_bound(point, best.gradient)
         if inverse is None or fresh or not np.array_equal(movable, active):
-            inverse, active, fresh = inverted(_damped(best.information, point.n), movable), movable, True
+            inverse, active, fresh = inverted(_damped(best.information, point.n, ridge), movable), movable, True
         step = inverse @ best.gradient
         stuck = at_bound(point, step) & active
         if stuck.any():  # at a bound and pushed outwards by correlated parameters, not by its own gradient
             active = active & ~stuck
-            inverse, fresh = inverted(_damped(best.information, point.n), active), True
+            inverse, fresh = inverted(_damped(best.information, point.n, ridge), active), True
             step = inverse @ best.gradient
         gain = 0.5 * float(step @ best.gradient)
         if gain < tolerance or passes >= most:
@@ -190,16 +205,19 @@ def maximise(
         step = point.reach(step) * step
         trial, result, tried = _line_search(objective, point, best, step, active)
         passes += tried
+        cut = tried >= CUT and gain > NEAR_ENOUGH
+        ridge = max(10 * ridge, RIDGE) if cut else (0.1 * ridge if ridge > RIDGE else 0.0)
         best = objective.readjusted(best, point)
         if result.objective <= best.objective:
-            if fresh and (rough or best.exact):
+            damped = cut and ridge <= MOST_RIDGE
+            if fresh and not damped and (rough or best.exact):
                 break
-            if fresh:
+            if fresh and not damped:
                 best, passes, objective.reach = objective.exact(point), passes + 1, -1.0
             fresh = True
             continue
         fall = np.where(active, best.gradient - result.gradient, 0.0)
-        fresh = gain > SECANT_BELOW or passes < 3
+        fresh = gain > SECANT_BELOW or passes < 3 or cut
         inverse = _secant(inverse, trial.flat() - point.flat(), fall)
         point, best = trial, result
     return Optimum(point, objective.settled(best, point), free, restricted, inverse, gain, passes, prior)
@@ -246,8 +264,9 @@ def climb(
     """Maximises, and again from moderate poles of the disturbance where the first climb ended at extreme ones.
 
     The likelihood is flat where the overlap is far below one and where a pole is faster than the blocks: a climb that
-    enters these regions stays there. The second start keeps the variance of the disturbance's velocity. The better of
-    the two maxima is returned; arguments as for `maximise`.
+    enters these regions stays there. The second start keeps the variance of the disturbance's velocity. A richer law
+    comes from the maximum of a simpler one that was sought from both: there the levels alone are climbed first, and all
+    parameters only where that ends higher. The better of the maxima is returned; arguments as for `maximise`.
     """
     first = maximise(records, point, free, tolerance=tolerance, most=most, prior=prior)
     fast, flat = first.point.levels[:, 2] > FAST_DISTURBANCE, first.point.levels[:, 3] < FLAT_OVERLAP
@@ -258,14 +277,16 @@ def climb(
     levels[fast, 2] = START_LEVELS[2]
     change = (levels - first.point.levels)[fast]
     levels[fast, 0] += 3 * change[:, 2] + change[:, 3]  # the velocity's variance is 2 q / (kappa alpha^3)
-    again = maximise(
-        records,
-        replace(first.point, levels=np.maximum(levels, level_range(first.point.measured)[:, 0])),
-        free,
-        tolerance=tolerance,
-        most=most,
-        prior=prior,
-    )
+    moderate = replace(first.point, levels=np.maximum(levels, level_range(first.point.measured)[:, 0]))
+    if point.structures:
+        alone = free & (np.arange(free.size) >= point.n)
+        other = maximise(
+            records, moderate, alone, restricted=first.restricted, tolerance=NEAR_ENOUGH, most=most, prior=prior
+        )
+        if other.score.log_likelihood <= first.score.log_likelihood + HIGHER:
+            return first
+        moderate = other.point
+    again = maximise(records, moderate, free, tolerance=tolerance, most=most, prior=prior)
     return again if again.score.log_likelihood > first.score.log_likelihood else first
 
 
@@ -306,9 +327,16 @@ def _solved(point: Point, there: LikelihoodScore, active: Mask) -> tuple[Point, 
     return point.moved(step), there.objective + 0.5 * float(step @ there.gradient)
 
 
-def _damped(information: Array, n: int) -> Array:
-    """The information with `LEVEL_DAMPING` added for every level; n is the number of parameters before the levels."""
+def _damped(information: Array, n: int, ridge: float = 0.0) -> Array:
+    """The information with a share of its diagonal added, and `LEVEL_DAMPING` for every level.
+
+    Args:
+        information: Shape (n + L K, n + L K).
+        n: Number of parameters before the levels.
+        ridge: The share.
+    """
     out = information.copy()
+    out[np.diag_indices(len(out))] *= 1 + ridge
     out[np.arange(n, len(out)), np.arange(n, len(out))] += LEVEL_DAMPING
     return out
 
