@@ -274,6 +274,24 @@ def test_an_axis_that_the_data_cannot_tell_is_left_out_with_a_sentence_and_keeps
     assert state[[2, 6]] == pytest.approx([1.6, 0.3])
 
 
+def test_an_axis_whose_zero_may_be_none_is_exported(model: Model) -> None:
+    """A zero below a bound moves the vehicle hardly otherwise than none."""
+    z = model.axes["z"]
+    assert z.predictor is not None
+    overshooting = replace(
+        z,
+        structure="second_order_zero",
+        extra={"lag": 0.1, "zero": None},
+        predictor=replace(z.predictor, extra={"lag": 0.1, "zero": 0.01}),
+        ci95={**z.ci95, "lag": (0.09, 0.11), "zero": (None, 0.03)},
+        status={**z.status, "lag": "ok", "zero": "not_identifiable"},
+    )
+    unbounded = replace(overshooting, ci95={**overshooting.ci95, "zero": (None, None)})
+
+    assert "z" in export(replace(model, axes={**model.axes, "z": overshooting}), "numpy").axes
+    assert "z" not in export(replace(model, axes={**model.axes, "z": unbounded}), "numpy").axes
+
+
 def test_errors_among_the_findings_are_told(model: Model) -> None:
     wrong = Finding("zeros_between_commands", "error", "", "", "")
     bad_z = Finding("sign_flipped", "error", "", "", "", "z")

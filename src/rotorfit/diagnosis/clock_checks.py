@@ -150,7 +150,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     elif flight.command_lateness:
         yield from _by_row(flight)
     else:
-        effect = "the time at which a command acts is no better known: the delay comes out wide or biased"
+        effect = "if they are stamps of arrival, the delay comes out wide or biased"
         yield from _jitter("command", commands, flight, effect)
     yield from _jitter(
         "pose", poses, flight, "if they are stamps of arrival, speed times jitter is added to every pose"

@@ -154,9 +154,12 @@ def identifier(text: str) -> str:
 def unknown_of(axis: Axis) -> list[str]:
     """The coefficients of an axis that are not identifiable, as `delay (not_identifiable)`; empty if all are.
 
-    A lag determined by its prior counts as known: the data determine the part of it that matters, delay plus lag.
+    A lag determined by its prior counts as known: the data determine the part of it that matters, delay plus lag. So
+    does a zero that may be none, if it is bounded above.
     """
     structure, believed = structure_named(axis.structure), {"lag"} if axis.lag_prior is not None else set()
+    if axis.status.get("zero") == "not_identifiable" and axis.ci95["zero"][1] is not None:
+        believed.add("zero")
     known = {"input": axis.input, "damping": axis.damping, **({"delay": axis.delay} if structure.delayed else {})}
     known |= {extra.name: axis.extra.get(extra.name) for extra in structure.extras if extra.name not in believed}
     return [f"{name} ({axis.status.get(name, 'unknown')})" for name, value in known.items() if value is None]
