@@ -87,3 +87,41 @@ def looped(longest: float, duration: float = 60.0) -> Flight:
         pose[i, 0] = position
     pose[:, 0] += 0.002 * rng.standard_normal(len(time))
     return by_hand(time[::3], pose[::3], time, command)
+
+
+INNER = {"steady_gain": 2.8 / 3.1, "total_lag": 0.055 + (1 + 1.6 / 14 * 0.3) / 3.1}
+"""Of `looped_inside`."""
+
+
+@cache
+def looped_inside(turn: float = 0.0, duration: float = 40.0) -> Flight:
+    """Steps of x and y, by a velocity loop around an attitude loop of the second order, in gusts.
+
+    The loop is 2.8 (u - v) in the world, the attitude has 14 rad/s and a damping ratio of 0.8, drag is 0.3 1/s, and the
+    delay 0.055 s.
+
+    Args:
+        turn: Amplitude of the heading [rad].
+        duration: Of the flight [s].
+    """
+    rng, step = np.random.default_rng(3), 0.001
+    time = np.arange(0.0, duration, step)
+    command = np.zeros((len(time), 4))
+    for k in range(2):
+        level = 0.6 * rng.choice([-1.0, 1.0], 200) * rng.uniform(0.4, 1.2, 200)
+        command[:, k] = level[np.searchsorted(np.cumsum(rng.uniform(0.5, 2.5, 200)), time)]
+    yaw = turn * np.sin(0.5 * time)
+    asked = np.stack([np.cos(yaw), np.sin(yaw)], axis=1) * command[:, :1]
+    asked += np.stack([-np.sin(yaw), np.cos(yaw)], axis=1) * command[:, 1:2]
+    shocks = 0.15 * math.sqrt(2 * step / 0.8) * rng.standard_normal(asked.shape)
+    position = np.zeros(asked.shape)
+    velocity, tilt, rate, gust = (np.zeros(2) for _ in range(4))
+    for i in range(55, len(time)):
+        rate = rate + step * (14.0**2 * (2.8 * (asked[i - 55] - velocity) - tilt) - 2 * 0.8 * 14.0 * rate)
+        tilt = tilt + step * rate
+        gust += -gust * step / 0.8 + shocks[i]
+        velocity = velocity + step * (tilt - 0.3 * velocity + gust)
+        position[i] = position[i - 1] + step * velocity
+    pose = np.column_stack([position, np.zeros(len(time)), yaw])[::10]
+    pose[:, :2] += 0.0006 * rng.standard_normal((len(pose), 2))
+    return by_hand(time[::10], pose, time, command)

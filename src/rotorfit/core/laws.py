@@ -133,6 +133,7 @@ class Structure:
         delayed: Whether the delay is estimated; else it is 0.
         order: Order of the lag: 0 none, 1 on the input, 2 of the velocity itself.
         world: Whether the lagged demand q of x and y keeps its direction in the world while the vehicle turns.
+        twice: Whether the command passes its lag twice, as an inner loop of the second order.
         linear: Whether the motion is linear in commands and state.
         tried: Axes for which `auto` tries the structure.
     """
@@ -143,6 +144,7 @@ class Structure:
     delayed: bool = True
     order: int = 0
     world: bool = False
+    twice: bool = False
     linear: bool = True
     tried: tuple[str, ...] = ("x", "y", "z", "yaw")
 

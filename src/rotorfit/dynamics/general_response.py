@@ -327,8 +327,8 @@ def _begin(law: Array, what: Any, whose: Any, z: Array, velocity: Array, yaw: fl
             if law[a, ORDER] < 2:
                 continue
             change = x if K == 1 else (c * x + s * y if a == 0 else c * y - s * x)
-            z[Q + COLUMNS * a + j] += z[T + COLUMNS * a + j] - law[a, DAMPING] * change
+            _into_lag(law, z, a, j, z[T + COLUMNS * a + j] - law[a, DAMPING] * change, yaw)
             if what[j] == MEAN:
                 for i in range(C):
                     if what[i] == DAMPING and whose[i] == a:
-                        z[Q + COLUMNS * a + i] -= change
+                        _into_lag(law, z, a, i, -change, yaw)

@@ -139,9 +139,11 @@ def _lag_rates(law: Array, a: int) -> Any:
 def lags_in_world(law: Array) -> bool:
     """Whether the lagged demand of x and y keeps its direction in the world when the vehicle turns.
 
-    Not beside a second order, whose acceleration turns with the heading.
+    Not beside a second order whose acceleration turns with the heading.
     """
-    return bool(law.shape[0] == 2 and law[0, WORLD] + law[1, WORLD] > 0 and max(law[0, ORDER], law[1, ORDER]) < 2)
+    if law.shape[0] == 1 or law[0, WORLD] + law[1, WORLD] == 0:
+        return False
+    return bool((law[0, ORDER] < 2 or law[0, WORLD] > 0) and (law[1, ORDER] < 2 or law[1, WORLD] > 0))
 
 
 @inner()

@@ -21,13 +21,14 @@ from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Evidenc
 from rotorfit.estimation.judgement.cross_check import with_instruments
 from rotorfit.estimation.judgement.each_flight import each_flight
 from rotorfit.estimation.judgement.omitted_terms import omitted_term
+from rotorfit.estimation.judgement.other_laws import BetweenLaws, OtherLaw, between_laws, other_laws
 from rotorfit.estimation.judgement.random_effects import RandomEffects, random_effects
 from rotorfit.estimation.judgement.refutation import doubt
 from rotorfit.estimation.judgement.residual_variance import weighted_innovations, widening
 from rotorfit.estimation.judgement.spread_prior import spread_scale
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.coefficients import statuses
-from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, interval, moved
+from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, hull, interval, moved
 from rotorfit.estimation.likelihood.extra_parameters import extra_status
 
 FlightValue = tuple[float, float] | None
@@ -74,10 +75,14 @@ def judged(model: Model, estimates: Mapping[str, Estimate], tested: bool = True)
         tested: Whether the law is tested, too; else only innovations and the spread between flights widen intervals.
     """
     axes, ratios = dict(model.axes), np.ones(len(model.covariance_names))
+    beside: dict[int, tuple[OtherLaw, ...]] = {}
     for name, estimate in estimates.items():
         if axes[name].predictor is None:
             continue
-        found, evidence = judged_axis(axes[name], estimate, tested)
+        optimum = id(estimate.optimum)
+        if tested and optimum not in beside:
+            beside[optimum] = other_laws(estimate)
+        found, evidence = judged_axis(axes[name], estimate, tested, beside.get(optimum, ()))
         axes[name] = _axis(axes[name], found, evidence)
         for i, entry in enumerate(model.covariance_names):
             axis, part = entry.split(".")
@@ -86,13 +91,16 @@ def judged(model: Model, estimates: Mapping[str, Estimate], tested: bool = True)
     return replace(model, axes=axes, covariance=model.covariance * np.outer(ratios, ratios))
 
 
-def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[dict[str, Judged], tuple[Evidence, ...]]:
+def judged_axis(
+    axis: Axis, estimate: Estimate, tested: bool = True, beside: tuple[OtherLaw, ...] = ()
+) -> tuple[dict[str, Judged], tuple[Evidence, ...]]:
     """Judges every quantity of an axis that has an interval.
 
     Args:
         axis: The axis as fitted.
         estimate: The maximum of its likelihood.
         tested: Whether the law is tested, too.
+        beside: Other laws, fitted to the same data.
 
     Returns:
         The judged quantities by name; and the tests that contradict the law, empty if it was not tested.
@@ -105,13 +113,14 @@ def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[di
     weighted = weighted_innovations(estimate, list(wanted.values()))
     wider = widening(weighted, list(wanted))
     errors = {name: one.error(estimate.optimum) * wider[name] for name, one in wanted.items()}
-    against = None
+    against, between = None, between_laws(beside, estimate, wanted)
     if tested:
         method = with_instruments(estimate, weighted, wanted, errors)
         omitted = omitted_term(estimate, weighted, errors)
         against = doubt(
-            estimate.records, weighted, estimate.place, errors, wider, method, estimate.loop.closed, omitted
-        )
+            estimate.records, weighted, estimate.place, errors, wider, method, estimate.loop.closed, omitted,
+            between,
+        )  # fmt: skip
     alone = _each(estimate, list(wanted)) if len(estimate.records) > 1 else {}
     out = {}
     for part, one in wanted.items():
@@ -123,7 +132,8 @@ def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[di
         evidence = _evidence(one, errors[part], law, alone.get(part, ()))
         vague = NORMAL * errors[part] * factor > TOLERABLE[one.logarithmic]
         refuted = against is not None and vague and part in against.refuted
-        out[part] = _judged(one, own, evidence, wider[part], factor, refuted)
+        alike = _judged(one, own, evidence, wider[part], factor, refuted)
+        out[part] = _over_laws(alike, between) if between and part in between.shift else alike
     return out, against.evidence if against else ()
 
 
@@ -187,6 +197,29 @@ def _judged(one: Estimand, own: Interval, evidence: _Evidence, wider: float, dou
         each=evidence.each,
     )
     return Judged(one, shift, interval(one, 0.0, own), vehicle, wider * ratio, spread, refuted)
+
+
+def _over_laws(judged: Judged, between: BetweenLaws) -> Judged:
+    """The quantity with intervals that contain those of its mean over several laws.
+
+    Args:
+        judged: Under its own law.
+        between: What other laws say.
+    """
+    one, name = judged.estimand, judged.estimand.name
+    shift, more = judged.shift + between.shift[name], float(np.sqrt(between.factor[name] ** 2 - 1))
+    own = half_widths(one, judged.flight)
+
+    def containing(ends: Interval) -> Interval:
+        below, above = half_widths(one, ends)
+        wide = (
+            None if below is None else float(np.hypot(below + judged.shift, more * (own[0] or 0.0))),
+            None if above is None else float(np.hypot(above - judged.shift, more * (own[1] or 0.0))),
+        )
+        return hull((ends, interval(one, shift, wide)))
+
+    spread = replace(judged.spread, next_flight=containing(judged.spread.next_flight))
+    return replace(judged, vehicle=containing(judged.vehicle), spread=spread)
 
 
 def _each(estimate: Estimate, names: Sequence[str]) -> dict[str, list[FlightValue]]:

@@ -31,6 +31,7 @@ import numpy as np
 from rotorfit.core.frames import POSE_UNITS, Array, Indices, Mask
 from rotorfit.core.model import Evidence
 from rotorfit.estimation.judgement.omitted_terms import SLOW, OmittedTerm
+from rotorfit.estimation.judgement.other_laws import BetweenLaws
 from rotorfit.estimation.judgement.random_effects import excess_spread
 from rotorfit.estimation.judgement.residual_variance import Ratio, Weighted, orthonormal
 from rotorfit.estimation.judgement.spread_prior import spread_scale
@@ -307,6 +308,7 @@ def doubt(
     method: Mapping[str, Homogeneity],
     closed: bool,
     omitted: OmittedTerm | None = None,
+    between: BetweenLaws | None = None,
 ) -> Doubt:
     """All tests of the law of axis k.
 
@@ -320,6 +322,7 @@ def doubt(
         closed: Whether that method stands in for the likelihood, which a feedback loop biases: then its error is not
             multiplied by the lack of fit, most of which is the loop's.
         omitted: The likeliest term that the law leaves out.
+        between: What other laws say.
     """
     names = list(errors)
     labels = cuts(records, weighted, k)
@@ -347,6 +350,8 @@ def doubt(
     evidence = [_between_parts(cut, found, errors) for cut, found in parts.items() if found]
     if omitted:
         evidence.append(_omitted(omitted, records[0].axes[k], errors))
+    if between:
+        evidence.append(_likelier(between))
     if rest:
         evidence.append(_following(rest, errors))
     told = sorted((one for one in evidence if one.p_value < REJECTED), key=lambda one: one.p_value)
@@ -358,7 +363,7 @@ def doubt(
 
 
 def _refutes(one: Evidence, factor: Mapping[str, float]) -> bool:
-    return one.p_value < CERTAIN and any(factor[name] > REFUTED for name in one.sd)
+    return one.test != "order" and one.p_value < CERTAIN and any(factor[name] > REFUTED for name in one.sd)
 
 
 _CUTS = {
@@ -400,6 +405,20 @@ def _omitted(term: OmittedTerm, axis: str, errors: Mapping[str, float]) -> Evide
         f"the residual is that of {cause}: chi-square {term.statistic:.0f} of 1",
         term.p_value,
         {name: sd * errors[name] for name, sd in term.sd.items() if sd > 0},
+    )
+
+
+def _likelier(between: BetweenLaws) -> Evidence:
+    law = {
+        "twice": "commands pass the lag twice, as an inner loop of the second order",
+        "second_order": "the velocity is of the second order",
+    }[between.name]
+    return Evidence(
+        "order",
+        f"a law under which {law} is likelier by {between.gained:.0f} log units, with a total lag of "
+        f"{between.total_lag:.3f} s",
+        between.p_value,
+        {name: by for name, by in between.apart.items() if by},
     )
 
 

@@ -6,6 +6,7 @@ the damping is positive by construction.
 
 import functools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +32,10 @@ from rotorfit.dynamics.response import axis_response
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.parameters import Point
 
+APART = (1.2, 0.8)
+"""Factors of the two lags on their mean: of equal ones the partial fractions are infinite, and of these the motion is
+within 4 % of the square of the lag in the second derivative."""
+
 
 def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Array, Array]:
     """Response of the blocks to the commands, and its sensitivities.
@@ -47,6 +52,8 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
         (B, (5 + E) K, K), where v0 is that of the block's own segment.
     """
     structures = point.structures or (FIRST_ORDER_DELAY,) * len(rec.axes)
+    if any(one.twice for one in structures):
+        return _twice_lagged_response(rec, point, flight, start)
     laws = point.laws
     laws[:, TRIM] = point.trim[flight]
     command = rec.switches[1]
@@ -59,6 +66,20 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
     if not structures[0].linear or len(laws) == 2:
         return _general_response(rec, point, laws, start)
     return _lagged_response(rec, point, laws, start)
+
+
+def _twice_lagged_response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Array, Array]:
+    """`response` where commands pass a lag twice: two lags a little apart, in partial fractions."""
+    once = tuple(replace(one, twice=False) for one in point.structures)
+    passed = np.array([[one.twice for one in point.structures]])
+    parts = []
+    for factor in APART:
+        extra = point.extra.copy()
+        extra[:1] += np.where(passed, np.log(factor), 0.0)
+        parts.append(response(rec, replace(point, structures=once, extra=extra), flight, start))
+    shares = np.array(APART) / np.subtract(*APART) * (1.0, -1.0)
+    mean, columns = (np.tensordot(shares, np.stack(one), axes=1) for one in zip(*parts, strict=True))
+    return mean, columns
 
 
 def _shapes_commands(structure: Structure) -> bool:

@@ -1,6 +1,7 @@
 """Estimands: coefficients and combinations, on the scales on which flights of a vehicle are compared."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -54,7 +55,8 @@ def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
     g, b, tau = float(point.gain[k]), float(np.exp(point.log_damping[k])), float(point.delay[k])
     extra, along = point.extra_values(k), partial(gradient, point, k)
     # under a second-order law the lag does not enter the total lag, and a zero reduces it
-    lag, zero = extra["lag"] if structure.order == 1 else 0.0, extra.get("zero", 0.0)
+    passed = (2 if structure.twice else 1) if structure.order == 1 else 0
+    lag, zero = passed * extra.get("lag", 0.0), extra.get("zero", 0.0)
     late = {"lag": lag} if structure.order == 1 else {"zero": -1.0} if "zero" in extra else {}
     out = [
         Estimand("input", g, True, along(input=1 / g)),
@@ -120,3 +122,12 @@ def interval(estimand: Estimand, shift: float, half: Interval) -> Interval:
 def moved(estimand: Estimand, shift: float) -> float:
     """The value after a shift on its scale."""
     return estimand.value * float(np.exp(shift)) if estimand.logarithmic else estimand.value + shift
+
+
+def hull(intervals: Sequence[Interval]) -> Interval:
+    """The smallest interval that contains all of them; an open end stays open."""
+    lows, highs = [low for low, _ in intervals], [high for _, high in intervals]
+    return (
+        None if None in lows else min(low for low in lows if low is not None),
+        None if None in highs else max(high for high in highs if high is not None),
+    )

@@ -18,9 +18,10 @@ import numpy as np
 from rotorfit.core.card import Prior
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.laws import LAG, STRUCTURES, Extra, Structure, level_range, structure_named
-from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Predictor, Weighed, weighed
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Predictor, Weighed, weighed
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, maximise_restricted
 from rotorfit.estimation.likelihood.coefficients import covariances, statuses, unfinished
+from rotorfit.estimation.likelihood.estimand import hull
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, extra_status, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, approached
 from rotorfit.estimation.likelihood.law_selection import effective_samples
@@ -355,7 +356,7 @@ def united(first: Axis, others: Sequence[Axis]) -> Axis:
     if not others:
         return first
     ci95 = {
-        key: _union([ends, *(other.ci95[key] for other in others if key in other.ci95)])
+        key: hull([ends, *(other.ci95[key] for other in others if key in other.ci95)])
         for key, ends in first.ci95.items()
     }
     extras = [extra for extra in structure_named(first.structure).extras if extra.estimated]
@@ -364,7 +365,7 @@ def united(first: Axis, others: Sequence[Axis]) -> Axis:
     combinations = {
         key: Combination(
             part.value,
-            _union([part.ci95, *(other.combinations[key].ci95 for other in others if key in other.combinations)]),
+            hull([part.ci95, *(other.combinations[key].ci95 for other in others if key in other.combinations)]),
         )
         for key, part in first.combinations.items()
     }
@@ -381,15 +382,6 @@ def united(first: Axis, others: Sequence[Axis]) -> Axis:
         },
         combinations=combinations,
         extra={key: None if key in unknown else value for key, value in first.extra.items()},
-    )
-
-
-def _union(intervals: Sequence[Interval]) -> Interval:
-    """The smallest interval that contains all of them; an open end stays open."""
-    lows, highs = [low for low, _ in intervals], [high for _, high in intervals]
-    return (
-        None if None in lows else min(low for low in lows if low is not None),
-        None if None in highs else max(high for high in highs if high is not None),
     )
 
 
