@@ -212,11 +212,11 @@ def _over_laws(judged: Judged, between: BetweenLaws) -> Judged:
 
     def containing(ends: Interval) -> Interval:
         below, above = half_widths(one, ends)
-        wide = (
-            None if below is None else float(np.hypot(below + judged.shift, more * (own[0] or 0.0))),
-            None if above is None else float(np.hypot(above - judged.shift, more * (own[1] or 0.0))),
-        )
-        return hull((ends, interval(one, shift, wide)))
+        if own[0] is not None and below is not None:
+            below = float(np.hypot(below + judged.shift, more * own[0]))
+        if own[1] is not None and above is not None:
+            above = float(np.hypot(above - judged.shift, more * own[1]))
+        return hull((ends, interval(one, shift, (below, above))))
 
     spread = replace(judged.spread, next_flight=containing(judged.spread.next_flight))
     return replace(judged, vehicle=containing(judged.vehicle), spread=spread)

@@ -44,16 +44,19 @@ class OtherLaw:
     """A law fitted beside that of an estimate.
 
     Attributes:
-        name: "twice" where commands pass the lag twice, "second_order" in velocity.
         optimum: Its maximum.
         gained: Its log-likelihood less that of the estimate, scaled to independent innovations.
         probability: Among the laws fitted, that of the estimate included, all of which have as many parameters.
     """
 
-    name: str
     optimum: Optimum
     gained: float
     probability: float
+
+    @property
+    def twice(self) -> bool:
+        """Whether commands pass the lag twice; else the velocity is of the second order."""
+        return _twice(self.optimum.point)
 
 
 @dataclass(frozen=True)
@@ -61,15 +64,15 @@ class BetweenLaws:
     """What other laws say of one axis.
 
     Attributes:
-        name: The likelier of them, as of `OtherLaw`.
-        gained: How much likelier it is than the law of the estimate.
+        twice: Whether the likelier of them is that whose commands pass the lag twice.
+        gained: Its log-likelihood less that of the estimate, as of `OtherLaw`.
         total_lag: Under it [s].
         shift: Quantity to its mean over all laws less the estimate, on its scale.
         factor: Quantity to its standard deviation over all laws, errors included, over its standard error; at least 1.
         apart: Quantity to its root mean square difference from the estimate, on its scale.
     """
 
-    name: str
+    twice: bool
     gained: float
     total_lag: float
     shift: Mapping[str, float]
@@ -88,26 +91,23 @@ class BetweenLaws:
 def other_laws(estimate: Estimate) -> tuple[OtherLaw, ...]:
     """The laws beside that of an estimate; none where it has no lag on the input."""
     share = effective_samples(estimate)[1]
-    found = [(name, *_climbed(estimate, start, name == "second_order")) for name, start in _starts(estimate)]
-    gained = np.array([0.0, *(share * more for _, _, more in found)])
+    found = [_climbed(estimate, start) for start in _starts(estimate)]
+    gained = np.array([0.0, *(share * more for _, more in found)])
     weight = np.exp(gained - gained.max())
     weight /= weight.sum()
     told = zip(found, gained[1:].tolist(), weight[1:].tolist(), strict=True)
-    return tuple(OtherLaw(name, optimum, more, likely) for (name, optimum, _), more, likely in told)
+    return tuple(OtherLaw(optimum, more, likely) for (optimum, _), more, likely in told)
 
 
-def _climbed(estimate: Estimate, start: Point, same: bool) -> tuple[Optimum, float]:
+def _climbed(estimate: Estimate, start: Point) -> tuple[Optimum, float]:
     """The maximum of a law, and its log-likelihood less that of the estimate.
 
-    Args:
-        estimate: The estimate.
-        start: Where the climb begins.
-        same: Whether the law moves there as that of the estimate does. What its likelihood differs by there is due to
-            the acceleration that each assumes at the start of a segment, and does not count.
+    A second order starts at the motion of one lag. What its likelihood differs by there is due to the acceleration that
+    each law assumes at the start of a segment, and does not count.
     """
     records, prior, there = estimate.records, estimate.optimum.prior, estimate.optimum.score.log_likelihood
     free = free_of(records, [bool(one) for one in estimate.optimum.free[: start.gain.size]], start.structures)
-    if same:
+    if not _twice(start):
         others = free & (np.arange(free.size) >= start.coefficients)
         held = maximise(records, start, others, tolerance=CLIMBED, most=MOST, prior=prior)
         start, there = held.point, held.score.log_likelihood
@@ -115,7 +115,7 @@ def _climbed(estimate: Estimate, start: Point, same: bool) -> tuple[Optimum, flo
     return top, top.score.log_likelihood - there
 
 
-def _starts(estimate: Estimate) -> Iterator[tuple[str, Point]]:
+def _starts(estimate: Estimate) -> Iterator[Point]:
     """Where the climbs begin: at nearly, or exactly, the motion under the law with one lag."""
     point = estimate.optimum.point
     lagged = [_lagged(one) for one in point.structures]
@@ -126,27 +126,28 @@ def _starts(estimate: Estimate) -> Iterator[tuple[str, Point]]:
     later = np.where([one.delayed for one in point.structures], (1 - 2 * TWICE) * lag, 0.0)
     extra = point.extra.copy()
     extra[0] += np.where(lagged, np.log(TWICE), 0.0)
-    yield "twice", replace(point, structures=twice, extra=extra, delay=point.delay + later)
+    yield replace(point, structures=twice, extra=extra, delay=point.delay + later)
     second = tuple(
         replace(SECOND_ORDER, world=one.world, delayed=one.delayed) if _lagged(one) else one for one in point.structures
     )
     slower = np.log1p(lag * np.exp(point.log_damping))  # the same poles
     extra = point.extra.copy()
     extra[0] -= slower
-    yield (
-        "second_order",
-        replace(
-            point,
-            structures=second,
-            gain=point.gain * np.exp(-slower),
-            log_damping=point.log_damping - slower,
-            extra=extra,
-        ),
+    yield replace(
+        point,
+        structures=second,
+        gain=point.gain * np.exp(-slower),
+        log_damping=point.log_damping - slower,
+        extra=extra,
     )
 
 
 def _lagged(structure: Structure) -> bool:
     return structure.order == 1
+
+
+def _twice(point: Point) -> bool:
+    return any(one.twice for one in point.structures)
 
 
 def between_laws(
@@ -169,7 +170,7 @@ def between_laws(
         others = [
             (law.probability, values[name].scaled() - own.scaled(), values[name].error(law.optimum))
             for law, values in told
-            if law.name == "twice" or name in SAME_EVERYWHERE
+            if law.twice or name in SAME_EVERYWHERE
         ]
         error, rest = own.error(estimate.optimum), 1 - sum(likely for likely, _, _ in others)
         shift[name] = sum(likely * off for likely, off, _ in others)
@@ -177,4 +178,4 @@ def between_laws(
         variance = rest * error**2 + sum(likely * known**2 for likely, _, known in others)
         factor[name] = max(1.0, float(np.sqrt(variance + apart[name] ** 2 - shift[name] ** 2)) / error)
     best, values = max(told, key=lambda one: one[0].gained)
-    return BetweenLaws(best.name, best.gained, values["total_lag"].value, shift, factor, apart)
+    return BetweenLaws(best.twice, best.gained, values["total_lag"].value, shift, factor, apart)

@@ -409,10 +409,8 @@ def _omitted(term: OmittedTerm, axis: str, errors: Mapping[str, float]) -> Evide
 
 
 def _likelier(between: BetweenLaws) -> Evidence:
-    law = {
-        "twice": "commands pass the lag twice, as an inner loop of the second order",
-        "second_order": "the velocity is of the second order",
-    }[between.name]
+    inner = "commands pass the lag twice, as an inner loop of the second order,"
+    law = inner if between.twice else "the velocity is of the second order"
     return Evidence(
         "order",
         f"a law under which {law} is likelier by {between.gained:.0f} log units, with a total lag of "

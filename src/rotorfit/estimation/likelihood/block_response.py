@@ -32,7 +32,7 @@ from rotorfit.dynamics.response import axis_response
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.parameters import Point
 
-APART = (1.2, 0.8)
+TWO_LAGS = (1.2, 0.8)
 """Factors of the two lags on their mean: of equal ones the partial fractions are infinite, and of these the motion is
 within 4 % of the square of the lag in the second derivative."""
 
@@ -73,11 +73,11 @@ def _twice_lagged_response(rec: Record, point: Point, flight: int, start: Array)
     once = tuple(replace(one, twice=False) for one in point.structures)
     passed = np.array([[one.twice for one in point.structures]])
     parts = []
-    for factor in APART:
+    for factor in TWO_LAGS:
         extra = point.extra.copy()
         extra[:1] += np.where(passed, np.log(factor), 0.0)
         parts.append(response(rec, replace(point, structures=once, extra=extra), flight, start))
-    shares = np.array(APART) / np.subtract(*APART) * (1.0, -1.0)
+    shares = np.array(TWO_LAGS) / np.subtract(*TWO_LAGS) * (1.0, -1.0)
     mean, columns = (np.tensordot(shares, np.stack(one), axes=1) for one in zip(*parts, strict=True))
     return mean, columns
 
