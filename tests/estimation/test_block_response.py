@@ -129,7 +129,7 @@ def test_a_second_order_in_the_world_moves_as_a_lag_in_the_world_with_the_same_p
 
     one = block_response.response(rec, lagged, 0, lagged.start)[0]
     mean, columns = block_response.response(rec, second, 0, second.start)
-    np.testing.assert_allclose(mean, one, atol=1e-3 * np.abs(one).max())
+    np.testing.assert_allclose(mean, one, atol=2.5e-3 * np.abs(one).max())
     flat = second.flat()
     for at in range(8):
         step = np.zeros(flat.size)

@@ -216,6 +216,19 @@ def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monke
     assert len(set(late)) >= 3
 
 
+def test_an_axis_of_which_a_refit_left_a_coefficient_open_waits_for_the_next_one() -> None:
+    """In gusts the damping is open below, and steps would follow it down within the half widths of the refit."""
+    gusty = replace(TRUTH, wind_sigma=(0.3,) * 4)
+    flight = flown(gusty, steps(("x",), 0.05, seed=3), 24.0, seed=3)
+    early = refitted(until(flight, 12.0), ("x",), LAW, 11.0)
+    assert early.half["x"]["damping"].flight[0] is None
+
+    later = stepped(early, until(flight, 24.0), 23.0)
+    before, now = (one.estimates["x"].optimum.point for one in (early, later))
+    np.testing.assert_array_equal(now.flat()[: now.coefficients], before.flat()[: before.coefficients])
+    assert axis_report(later, "x") == axis_report(early, "x")
+
+
 def test_of_a_long_regime_only_the_end_is_tested_by_the_estimate_of_all_of_it(
     early: GroupEstimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,8 +31,9 @@ from rotorfit.dynamics.general_step import (
 )
 from rotorfit.dynamics.response import VANISH_EVERY, vanished
 
-WARM_UP = 0.6
-"""Time before the first scored pose over which the lagged input is simulated [s]: the longest delay searched."""
+WARM_UP = 0.7
+"""Time before the first scored pose over which the lagged input is simulated [s]: the range of delays searched, so that
+the first command of a segment is met at every delay."""
 
 _DRAG_STEP = 0.005
 

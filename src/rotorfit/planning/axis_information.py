@@ -206,5 +206,5 @@ def _empty_record(duration: float, step: float, pose_rate: float) -> Record:
         command_range=np.array([[0, command_time.size]]), pose_time=t, yaw=np.zeros(t.size), block=block, count=count,
         block_time=block_time, steps=steps, step=index, block_yaw=np.zeros(count.size),
         position=np.zeros((count.size, 1)), fresh=np.arange(count.size) == 0, command_time=command_time,
-        command=np.zeros((command_time.size, 1)), held=True, heading=0.0,
+        command=np.zeros((command_time.size, 1)), rested=np.zeros(1, bool), held=True, heading=0.0,
     )  # fmt: skip

@@ -290,7 +290,8 @@ def stepped(fitted: GroupEstimate, flight: Flight, excited: float) -> GroupEstim
     """The estimate after a step of Fisher scoring on the flight so far, if enough data are new; else as `renewed`.
 
     It is also left as it is where the flight that it looks back over has come to tell less than at the last refit: a
-    step would follow the little that is left, within intervals of what has been lost.
+    step would follow the little that is left, within intervals of what has been lost. So is an axis of which the refit
+    left a coefficient open: nothing stops its steps there.
 
     Args:
         fitted: The estimate before.
@@ -300,10 +301,16 @@ def stepped(fitted: GroupEstimate, flight: Flight, excited: float) -> GroupEstim
     new = renewed(fitted, flight)
     if not new.estimates or not grown(fitted.stepped, excited, GROWN):
         return new
-    moved = _moved(new.estimates, (fitted.steps + 1) % LEVELS_EVERY == 0)
+    held = [axis for axis in new.estimates if _open(fitted, axis)]
+    moved = _moved(new.estimates, (fitted.steps + 1) % LEVELS_EVERY == 0, held)
     slid = flight.span[0] > fitted.fit.flights[0].span[0]
     lost = slid and any(_lost(one, fitted.half[axis]) for axis, one in moved.items())
     return replace(new, estimates=new.estimates if lost else moved, steps=fitted.steps + 1, stepped=excited)
+
+
+def _open(fitted: GroupEstimate, axis: str) -> bool:
+    """Whether the interval of a coefficient has an open end since the refit."""
+    return any(None in fitted.half[axis][name].flight for name in COEFFICIENTS if name in fitted.half[axis])
 
 
 def _lost(estimate: Estimate, then: Mapping[str, Widths]) -> bool:
@@ -322,7 +329,7 @@ def renewed(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
     before = {axis: one.optimum.point.start.size for axis, one in fitted.estimates.items()}
     if all(one.optimum.point.start.size == before[axis] for axis, one in new.estimates.items()):
         return new
-    return replace(new, estimates=_moved(new.estimates, False, coefficients=False))
+    return replace(new, estimates=_moved(new.estimates, False, tuple(new.estimates), trims=False))
 
 
 def applied(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
@@ -376,21 +383,34 @@ def _renewed(estimate: Estimate, records: list[Record]) -> Estimate:
     return replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
 
 
-def _moved(estimates: Mapping[str, Estimate], levels: bool, coefficients: bool = True) -> dict[str, Estimate]:
-    """The estimates after a step, in which levels of the disturbance, coefficients and trims may move."""
+def _moved(
+    estimates: Mapping[str, Estimate], levels: bool, held: Sequence[str] = (), trims: bool = True
+) -> dict[str, Estimate]:
+    """The estimates after a step, in which levels of the disturbance, coefficients and trims may move.
+
+    Args:
+        estimates: Axis name to its estimate.
+        levels: Whether levels move.
+        held: Axes whose coefficients do not.
+        trims: Whether trims move.
+    """
+    places = [one.place for axis, one in estimates.items() if axis in held]
     if len({id(one.optimum) for one in estimates.values()}) < len(estimates):  # x and y share a likelihood
-        one = _moved_alone(next(iter(estimates.values())), levels, coefficients)
+        one = _moved_alone(next(iter(estimates.values())), levels, places, trims)
         return {axis: replace(each, optimum=one.optimum) for axis, each in estimates.items()}
-    return {axis: _moved_alone(one, levels, coefficients) for axis, one in estimates.items()}
+    return {
+        axis: _moved_alone(one, levels, [one.place] if axis in held else [], trims) for axis, one in estimates.items()
+    }
 
 
-def _moved_alone(estimate: Estimate, levels: bool, coefficients: bool) -> Estimate:
-    """An estimate after a step of its own likelihood."""
-    optimum = estimate.optimum
+def _moved_alone(estimate: Estimate, levels: bool, held: Sequence[int], trims: bool) -> Estimate:
+    """An estimate after a step of its own likelihood; coefficients of the axes at the places `held` do not move."""
+    optimum, point = estimate.optimum, estimate.optimum.point
     moving = optimum.free.copy()
-    moving[: optimum.point.coefficients + optimum.point.trim.size] &= coefficients
-    moving[optimum.point.n :] &= levels
-    found = maximise(estimate.records, optimum.point, moving, most=PASSES, prior=optimum.prior)
+    moving[: point.coefficients].reshape(-1, point.gain.size)[:, held] = False
+    moving[point.coefficients : point.coefficients + point.trim.size] &= trims
+    moving[point.n :] &= levels
+    found = maximise(estimate.records, point, moving, most=PASSES, prior=optimum.prior)
     return replace(estimate, optimum=replace(found, free=optimum.free))
 
 
@@ -457,10 +477,11 @@ def _shares(fitted: GroupEstimate, axis: str) -> Mapping[str, float]:
     """Quantity to its standard error now as a share of what it was at the refit.
 
     Data never take information away, and the excited time brings it at most in proportion. Where several laws remain,
-    an interval is as wide as these are apart, which is no error of the data: it stands until the next refit.
+    an interval is as wide as these are apart, which is no error of the data: it stands until the next refit, and so do
+    those of an axis that takes no steps.
     """
-    then = fitted.half[axis]
-    if len(fitted.fit.model.axes[axis].laws) > 1 or fitted.stepped <= fitted.seen:
+    then, several = fitted.half[axis], len(fitted.fit.model.axes[axis].laws) > 1
+    if several or fitted.stepped <= fitted.seen or _open(fitted, axis):
         return dict.fromkeys(then, 1.0)
     now, least = _curvature_errors(fitted.estimates[axis]), math.sqrt(fitted.seen / fitted.stepped)
     return {name: min(max(now[name] / one.error, least), 1.0) if one.error > 0 else 1.0 for name, one in then.items()}

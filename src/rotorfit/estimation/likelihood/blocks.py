@@ -30,6 +30,13 @@ HALF_STEP = 1e-3
 in a second, and a fraction of one change of acceleration if a command switches inside."""
 
 
+REST = 0.2
+"""Time from its first command on in which a segment shows whether it begins at rest [s]: an answer hardly begins."""
+
+AT_REST = 0.5
+"""Share of what an axis usually moves in that time below which it is at rest: of the upper quartile."""
+
+
 @dataclass(frozen=True)
 class Record:
     """One flight, one axis or the pair x, y, in blocks. M commands, N samples, B blocks, K axes (1 or 2), S segments.
@@ -55,6 +62,7 @@ class Record:
         fresh: True for the first block of a segment, shape (B,).
         command_time: Stamps of the commands, shape (M,) [s].
         command: Commands in the heading frame, shape (M, K).
+        rested: Whether the vehicle is at rest at the first command of each segment, which is not zero, shape (S,).
         held: Whether the filter may treat the heading as constant.
         heading: Mean heading [rad].
         rate: True for blocks of velocities, shape (B,); None without velocities.
@@ -80,6 +88,7 @@ class Record:
     fresh: Mask
     command_time: Array
     command: Array
+    rested: Mask
     held: bool
     heading: float
     rate: Mask | None = None
@@ -120,12 +129,20 @@ class Record:
         """Stamps and values of the commands that differ from the previous one, and their range in each segment.
 
         Many logs repeat a command until the next one: repetitions do not change the motion, but cost as much time.
+        Before the first command of a segment that begins at rest is one of zero: nothing is on its way to the vehicle.
+        Elsewhere, what came before is unknown, and the first command counts as held.
         """
         new = np.ones(self.command_time.size, bool)
         new[1:] = np.any(np.diff(self.command, axis=0) != 0, axis=1)
         new[np.minimum(self.command_range[:, 0], new.size - 1)] = True
         place = np.concatenate([[0], np.cumsum(new)])
-        return self.command_time[new], np.ascontiguousarray(self.command[new]), place[self.command_range]
+        time, command = self.command_time[new], np.ascontiguousarray(self.command[new])
+        spans = place[self.command_range]
+        if not self.rested.any():
+            return time, command, spans
+        first = spans[self.rested, 0]
+        inserted = np.searchsorted(first, spans)  # zeros before each
+        return np.insert(time, first, time[first]), np.insert(command, first, 0.0, axis=0), spans + inserted
 
     def observed(self, groups: Array) -> Array:
         """Response as measured by the blocks: from groups of samples (G, ...) to blocks (B, ...)."""
@@ -168,7 +185,7 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
     if len(axes) == 1 and axes[0] in ("x", "y"):
         pose[:2] = heading_from_world(flight.position[:, :2], np.full(flight.yaw.size, heading)).T
     t, command_time = flight.pose_time, flight.command_time
-    starts, pose_range, command_range, times, index = [], [], [], [], []
+    starts, pose_range, command_range, times, index, rested = [], [], [], [], [], []
     block_count = n = 0
     for segment in flight.segments:
         first, last = np.searchsorted(t, [segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]])
@@ -180,6 +197,7 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         starts.append(segment.start + DELAY_RANGE[1])
         pose_range.append((n, n + last - first))
         command_range.append(np.searchsorted(command_time, [segment.start, segment.end]))
+        rested.append(_at_rest(flight, segment.start, column))
         times.append(bins + block_count)
         index.append(slice(first, last))
         n += last - first
@@ -212,11 +230,23 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         block_yaw=block_yaw,
         position=mean,
         fresh=fresh,
-        command_time=command_time,
+        command_time=flight.command_time,
         command=np.ascontiguousarray(flight.command[:, column]),
+        rested=np.array(rested),
         held=("x" not in axes and "y" not in axes) or bool(np.ptp(block_yaw) < 2 * HELD_HEADING),
         heading=heading,
     )
+
+
+def _at_rest(flight: Flight, start: float, column: Sequence[int]) -> bool:
+    """Whether axes hardly move in the first moment of a segment, although they have a command other than zero."""
+    first = int(np.searchsorted(flight.command_time, start))
+    if first == flight.command_time.size or not flight.command[first, column].any():
+        return False
+    t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])[:, column]
+    later = np.column_stack([np.interp(t + REST, t, one) for one in pose.T])
+    moved = np.linalg.norm(later - pose, axis=1)
+    return bool(moved[min(int(np.searchsorted(t, start)), t.size - 1)] < AT_REST * np.quantile(moved, 0.75))
 
 
 def _numbered(time: Array, rate: float) -> Indices:
@@ -322,7 +352,7 @@ def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record |
         )
     pose, velocity = pose[:, column], velocity[:, column]
     alone, rate_time = axes[0] in flight.velocity.alone, flight.velocity.true_time(axes[0])
-    parts = []
+    parts, rested = [], []
     for segment in flight.segments:
         low, high = segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]
         poses = _blocks(flight.pose_time, pose, low, low if alone else high, rate)
@@ -330,6 +360,7 @@ def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record |
         if len(poses.value) + len(rates.value) >= 4 and len(rates.value):
             commands = np.searchsorted(flight.command_time, [segment.start, segment.end])
             parts.append(_fused(low, commands, poses, rates))
+            rested.append(_at_rest(flight, segment.start, column))
     if not parts:
         return None
     ends = np.cumsum([part.time.size for part in parts])
@@ -354,6 +385,7 @@ def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record |
         fresh=np.concatenate([np.arange(part.stamp.size) == 0 for part in parts]),
         command_time=flight.command_time,
         command=np.ascontiguousarray(flight.command[:, column]),
+        rested=np.array(rested),
         held=("x" not in axes and "y" not in axes) or bool(np.ptp(block_yaw) < 2 * HELD_HEADING),
         heading=heading,
         rate=np.concatenate([part.rate for part in parts]),

@@ -48,6 +48,7 @@ def stretches(rec: Record) -> Record:
     return replace(
         rec,
         starts=starts,
+        rested=rec.rested[segment[keep[first]]] & (starts == rec.starts[segment[keep[first]]]),
         pose_range=pose_range,
         command_range=np.column_stack([np.clip(acting, low, high), np.clip(over, low, high)]),
         pose_time=pose_time,
