@@ -85,7 +85,7 @@ def delay_of(name: str) -> float:
 def flown_by(
     name: str,
     axes: Sequence[str] = ("z",),
-    duration: float = 40.0,
+    duration: float = 25.0,
     seed: int = 1,
     wind: float = 0.0,
     noise: float = 0.0,

@@ -89,13 +89,13 @@ def alarms(
     gusts: float = 0.3,
     touches: tuple[float, float] = (0.0, 0.0),
 ) -> Sequence[Alarm]:
-    """The first alarm of a flight of the room and its revision, from 8 s before the change to `most` seconds after.
+    """The first alarm of a flight of the room and its revision, from 5 s before the change to `most` seconds after.
 
     It may have touched down between the times `touches` after the alarm [s].
     """
     flight = changing_flight(cause, vehicle, at, at + most, seed, loop, gusts)
     following, found = Following(LAW), list[Alarm]()
-    for part, now in growing(flight, at - 8.0, GLANCE):
+    for part, now in growing(flight, at - 5.0, GLANCE):
         low, high = (found[0].time + after if found else np.inf for after in touches)
         state = following.follow(part, now, low < now < high)
         found += state.alarms if state else ()

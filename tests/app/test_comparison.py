@@ -26,7 +26,7 @@ pytestmark = pytest.mark.flights
 
 @cache
 def turning() -> Flight:
-    return flown(Truth(), steps(seed=2), 20.0, 2)
+    return flown(Truth(), steps(seed=2), 12.0, 2)
 
 
 @cache
@@ -61,7 +61,7 @@ def test_axes_that_turn_are_not_tested_where_one_model_is_told_the_heading() -> 
 
 
 def test_where_the_heading_is_kept_they_are_tested() -> None:
-    straight = flown(Truth(), steps(("x", "y"), seed=2), 20.0, 2)
+    straight = flown(Truth(), steps(("x", "y"), seed=2), 12.0, 2)
 
     found = compared(known(), without("yaw"), flights=(straight,))
     assert difference(found, "x", "model 2", "model 1").pooled is not None
@@ -91,9 +91,11 @@ def test_models_that_differ_by_less_than_a_search_leaves_are_the_same(factor: fl
     assert z.predictor is not None
     other = replace(z, predictor=replace(z.predictor, input=factor * z.predictor.input))
 
+    flights = (flown(Truth(), steps(("z",), seed=2), 20.0, 2),)
     found = difference(
-        compared(known(), replace(known(), axes={**known().axes, "z": other})), "z", "model 2", "model 1"
-    ).pooled
+        compared(known(), replace(known(), axes={**known().axes, "z": other}), flights=flights),
+        "z", "model 2", "model 1",
+    ).pooled  # fmt: skip
     assert found is not None
     assert found.verdict == verdict
     assert found.rmse != 0
@@ -146,9 +148,10 @@ def test_who_names_the_card_of_a_flight_says_under_which_limits_it_was_flown(lim
 
 
 def test_each_model_is_pooled_over_the_flights_that_it_was_not_fitted_to_whichever_comes_first() -> None:
-    flights = tuple(replace(flown(Truth(), steps(seed=n), 20.0, n), path=f"{n}.bag", sha256=str(n)) for n in (4, 5))
-    first, second = (fit_as_flown([flight]).model for flight in flights)
-    flights = (*flights, turning())
+    flights = tuple(
+        replace(flown(Truth(), steps(("z",), seed=n), 12.0, n), path=f"{n}.bag", sha256=str(n)) for n in (4, 5, 6)
+    )
+    first, second = (fit_as_flown([flight], axes=("z",)).model for flight in flights[:2])
 
     one, two = compared(first, second, flights=flights), compared(second, first, flights=flights)
     for name in ("hold", "paper"):

@@ -31,9 +31,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(folder: Path) -> Iterator[Demo]:
-    """Of flights by the demo's plans that are shorter: half as long to fit, a third as long for the proof."""
+    """Of flights by the demo's plans that are shorter: a third as long to fit, a quarter for the proof."""
     shorter = {
-        name: (design, axes, duration / (2 if name.startswith("train") else 3), high)
+        name: (design, axes, duration / (3 if name.startswith("train") else 4), high)
         for name, (design, axes, duration, high) in demo_module.FLIGHTS.items()
     }
     with pytest.MonkeyPatch.context() as patch:

@@ -146,7 +146,7 @@ def test_people_get_words_a_model_and_a_page(written: tuple[Result, Path, Path])
 
 
 def test_faults_of_the_data_are_told_and_kept_as_by_fit(tmp_path: Path) -> None:
-    csv, model = Csv(simulate_flight(Truth(), steps(("x", "y")), 20.0, seed=6)), tmp_path / "model.json"
+    csv, model = Csv(simulate_flight(Truth(), steps(("x", "y")), 14.0, seed=6)), tmp_path / "model.json"
     csv.command[:, [0, 1]] = csv.command[:, [1, 0]]
     result = CliRunner().invoke(main, ["track", *csv.write(tmp_path), "--structure", LAW, "-o", str(model)])
 

@@ -20,7 +20,7 @@ def estimate() -> Estimate:
 
 @pytest.mark.parametrize("axes", [("z",), ("x", "y")])
 def test_colouring_is_the_inverse_of_whitening(axes: tuple[str, ...]) -> None:
-    rec = record(flown(Truth(), steps(("x", "y", "yaw"), seed=1), 20.0, 1), axes)
+    rec = record(flown(Truth(), steps(("x", "y", "yaw"), seed=1), 8.0, 1), axes)
     assert rec is not None
     K = len(axes)
     levels = np.log([[0.002, 3e-7, 2.0, 0.6], [0.01, 1e-6, 4.0, 0.2]])[:K]

@@ -73,7 +73,7 @@ def test_flights_that_differ_do_not_change_within_and_the_one_that_does_is_named
 
 
 def test_halves_of_a_gusty_flight_keep_the_prior_of_the_lag() -> None:
-    result = fit([flown_by("first_order_delay_lag", seed=2, wind=0.6, noise=0.005)], axes=("z",))
+    result = fit([flown_by("first_order_delay_lag", duration=40.0, seed=2, wind=0.6, noise=0.005)], axes=("z",))
     found = constancy(result.flights, result.estimates["z"], "z")
 
     assert result.model.axes["z"].structure == "first_order_delay_lag"

@@ -242,7 +242,8 @@ def test_the_mapping_is_json_without_nan_and_holds_every_row() -> None:
 
 @pytest.mark.parametrize("method", ["svf", "weak", "iv", "oe"])
 def test_a_model_by_a_rung_goes_through_its_file(method: str) -> None:
-    model = fit([flown(Truth(), steps(), 30.0, 14)], method).model  # type: ignore[arg-type]
+    flight = flown(Truth(), steps(("z", "yaw")), 20.0, 14)
+    model = fit([flight], method, axes=("z", "yaw")).model  # type: ignore[arg-type]
     again = from_mapping(json.loads(json.dumps(model_mapping(model), allow_nan=False)), "memory")
 
     assert model_mapping(again) == model_mapping(model)

@@ -378,15 +378,15 @@ def test_a_heading_that_comes_less_often_than_its_rows_does_not_jump(tmp_path: P
     ("axis", "start", "end", "fitted", "remedy"),
     [
         ("z", 0.0, 99.0, AXES, "check that the card names the right column for z of [pose]; if so, look for a sensor"),
-        ("z", 20.0, 99.0, ("z", "yaw"), "fit without that stretch, --span :20.0; look for"),
-        ("z", 0.0, 20.0, ("z", "yaw"), "fit without that stretch, --span 20.0:; look for"),
-        ("x", 20.0, 99.0, AXES, "fit without that stretch, --span :20.0; look for"),
+        ("z", 12.0, 99.0, ("z", "yaw"), "fit without that stretch, --span :12.0; look for"),
+        ("z", 0.0, 12.0, ("z", "yaw"), "fit without that stretch, --span 12.0:; look for"),
+        ("x", 12.0, 99.0, AXES, "fit without that stretch, --span :12.0; look for"),
     ],
 )
 def test_a_coordinate_that_is_frozen_while_commanded_is_told_and_not_what_follows(
     tmp_path: Path, axis: str, start: float, end: float, fitted: tuple[str, ...], remedy: str
 ) -> None:
-    log = Csv(flown())
+    log = Csv(flown(duration=24.0))
     still = (log.pose_time >= start) & (log.pose_time < end)
     log.pose[still, POSE.index(axis)] = log.pose[still, POSE.index(axis)][0]
     words = log.write(tmp_path)
@@ -395,7 +395,7 @@ def test_a_coordinate_that_is_frozen_while_commanded_is_told_and_not_what_follow
         assert set(found) == {("pose_frozen", axis)}
         (told,) = found.values()
         assert told["remedy"].startswith(remedy)
-        assert numbers(told["evidence"])[-1] == pytest.approx(min(end, 40.0) - start, abs=0.1)
+        assert numbers(told["evidence"])[-1] == pytest.approx(min(end, 24.0) - start, abs=0.1)
         assert told["evidence"].endswith(f"the pose changes in {', '.join(other for other in POSE if other != axis)}")
 
 

@@ -45,14 +45,14 @@ def truths(truth: Truth, axes: tuple[str, ...] = AXES) -> np.ndarray:
 def test_without_noise_z_and_yaw_come_back_exactly(gamma: tuple[float, ...]) -> None:
     """The response is exact, the levels fall to their floor: what is left is the rounding of the stamps, 1 ns."""
     truth = replace(STILL, gamma=gamma)
-    found = numbers(fitted(flown(truth, two_sines, 30.0), axes=("z", "yaw")), ("z", "yaw"))
+    found = numbers(fitted(flown(truth, two_sines, 20.0), axes=("z", "yaw")), ("z", "yaw"))
 
     np.testing.assert_allclose(found, truths(truth, ("z", "yaw")), rtol=1e-6)
 
 
 def test_without_noise_x_and_y_come_back_under_a_held_yaw() -> None:
     """Exact too; the held heading is only known as far as the quaternion is, 1e-16."""
-    flight = flown(STILL, steps(("x", "y")), 30.0, initial_yaw=0.9)
+    flight = flown(STILL, steps(("x", "y")), 20.0, initial_yaw=0.9)
 
     assert np.ptp(flight.yaw) < 1e-9
     np.testing.assert_allclose(

@@ -17,7 +17,7 @@ PLANE = ("x", "y")
 
 @cache
 def fitted(flown: str, structure: str = "averaged", turn: float = 1.5) -> Fit:
-    flight = flown_by(flown, PLANE, duration=40.0, wind=0.05, noise=0.001, turn=turn)
+    flight = flown_by(flown, PLANE, duration=30.0, wind=0.05, noise=0.001, turn=turn)
     return fit([flight], axes=PLANE, structure=structure)
 
 

@@ -75,12 +75,13 @@ def test_a_hole_in_the_poses_leaves_the_mean_wind_known() -> None:
 def test_still_air_is_not_taken_for_wind() -> None:
     """Without gusts the seconds agree among themselves: what is left is the error of the trim."""
     axes, told = ("x", "y"), []
-    for seed in range(8):
-        flight = tilted(flown(STILL, steps(("x", "y"), seed=seed), 14.0, seed=seed))
-        estimates = refitted(flight, axes, LAW, 14.0).estimates
+    for seed in range(5):
+        flight = tilted(flown(STILL, steps(("x", "y"), seed=seed), 12.0, seed=seed))
+        estimates = refitted(flight, axes, LAW, 12.0).estimates
         told.append(courses(flight, estimates, dict.fromkeys(axes, (0.5, 0.5)))[1])
 
-    assert [air is not None and air.significant for air in told].count(True) <= 1
+    assert None not in told
+    assert [air.significant for air in told if air].count(True) <= 1
 
 
 def test_velocity_now_and_in_a_second_are_those_that_came() -> None:
@@ -113,7 +114,7 @@ def test_the_band_a_second_ahead_holds_while_the_vehicle_is_hardly_known() -> No
         )
         begin = simulated.command_stamp[0]
         time, sent = ((stamp - begin) * 1e-9 for stamp in (simulated.pose_stamp, simulated.command_stamp))
-        for state in tracked(recorded(simulated), LAW).states:
+        for state in tracked(replace(recorded(simulated), axes=("z",)), LAW).states:
             z, now = state.axes["z"], state.time
             inside = simulated.command[np.searchsorted(sent, now, side="right") - 1 : np.searchsorted(sent, now + 1), 2]
             low, high = z.ahead_ci95

@@ -256,7 +256,10 @@ def test_a_delay_that_axes_share_is_found_where_each_answers_in_a_few_seconds_on
     assert np.median([together for together, _ in later]) < 0.01 * np.median([alone for _, alone in later])
 
 
-@pytest.mark.parametrize("touches", [(0.5, 1.4), (0.2, 2.4), (0.2, 4.9)])
+@pytest.mark.parametrize(
+    "touches",
+    [pytest.param((0.5, 1.4), marks=pytest.mark.slow), (0.2, 2.4), pytest.param((0.2, 4.9), marks=pytest.mark.slow)],
+)
 def test_a_revision_waits_while_the_vehicle_may_have_touched_down(touches: tuple[float, float]) -> None:
     """Else the alarm would keep its first guess of the cause, and no size. A vehicle that takes up a payload sinks."""
     first, last = alarms("picked_up", "tello", at=30.0, touches=touches)

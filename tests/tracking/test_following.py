@@ -424,7 +424,8 @@ def test_an_axis_whose_change_is_too_small_to_alarm_joins_the_alarm_of_others() 
     """x and y lose a third of their gains at 20 s, z a quarter, which it does not tell by itself."""
     less = np.array([0.65, 0.65, 0.75, 1.0])
     flight, following = flown(TRUTH, steps(seed=6), 33.0, seed=6), Following(LAW)
-    flight = replace(flight, command=flight.command / np.where(flight.command_time[:, None] > 20.0, less, 1.0))
+    command = flight.command / np.where(flight.command_time[:, None] > 20.0, less, 1.0)
+    flight = replace(flight, command=command, axes=("x", "y", "z"))
     states = [state for part, now in growing(flight, 15.0, GLANCE) if (state := following.follow(part, now))]
     (last,) = revised([alarm for state in states for alarm in state.alarms])
 
@@ -481,7 +482,7 @@ def under_laws(fitted: GroupEstimate, *weights: float) -> GroupEstimate:
 
 def test_at_a_refit_a_lag_that_the_fit_does_not_know_is_not_told() -> None:
     """Its interval is closed, but too wide."""
-    flight = until(flown_by("second_order_zero", wind=0.5, noise=0.005), 20.0)
+    flight = until(flown_by("second_order_zero", duration=40.0, wind=0.5, noise=0.005), 20.0)
     found = fit([flight], axes=("z",), structure="second_order_zero")
     axis = found.model.axes["z"]
     told = axis_report(group_estimate(found, ("z",), 20.0), "z").values

@@ -15,7 +15,7 @@ from tracked_flights import LAW, alarms, known_flight
 
 pytestmark = pytest.mark.flights
 
-FLIGHTS, AGO = 40, 1.5
+FLIGHTS, AGO = 20, 1.5
 PUSH = -1.3
 """First acceleration of the push [m/s^2], and how long ago it came [s]."""
 
