@@ -40,16 +40,16 @@ def test_only_poses_whose_delayed_commands_are_known_for_every_delay_are_scored(
     assert earlier[-1] < segment.start + DELAY_RANGE[1]
 
 
-@pytest.mark.parametrize("begun", [0.0, 1.0])
-def test_a_vehicle_at_rest_was_commanded_nothing_before_its_first_command(begun: float) -> None:
-    """Elsewhere the first command counts as held before."""
+@pytest.mark.parametrize("begun", [0.0, 0.3, 2.0])
+def test_a_vehicle_at_rest_that_its_first_command_moves_was_commanded_nothing_before(begun: float) -> None:
+    """Elsewhere, under way or in a hover in wind, the first command counts as held before."""
     t = np.arange(0.0, 8.0, 0.01)
     pose = np.zeros((t.size, 4))
     pose[:, 2] = np.where(t < begun, 0.0, 0.5 * (t - begun))
     rec = whole(by_hand(t, pose, t[::10], np.full((80, 4), 0.4)), ("z",))
 
     time, command, ((first, last),) = rec.switches
-    assert command[first:last, 0].tolist() == ([0.0, 0.4] if begun else [0.4])
+    assert command[first:last, 0].tolist() == ([0.0, 0.4] if begun == 0.3 else [0.4])
     assert (time[first:last] == 0.0).all()
 
 

@@ -30,11 +30,12 @@ HALF_STEP = 1e-3
 in a second, and a fraction of one change of acceleration if a command switches inside."""
 
 
-REST = 0.2
-"""Time from its first command on in which a segment shows whether it begins at rest [s]: an answer hardly begins."""
+REST, MOVES = 0.2, 1.0
+"""Times from its first command on in which a segment shows whether it begins at rest, as an answer hardly begins, and
+whether this command moves it [s]. One that does not, as in a hover in wind, counts as held before."""
 
 AT_REST = 0.5
-"""Share of what an axis usually moves in that time below which it is at rest: of the upper quartile."""
+"""Share of what an axis usually moves in the first of these times, the upper quartile, below which it is at rest."""
 
 
 @dataclass(frozen=True)
@@ -239,14 +240,15 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
 
 
 def _at_rest(flight: Flight, start: float, column: Sequence[int]) -> bool:
-    """Whether axes hardly move in the first moment of a segment, although they have a command other than zero."""
+    """Whether axes hardly move in the first moment of a segment, and then are moved by its first command."""
     first = int(np.searchsorted(flight.command_time, start))
     if first == flight.command_time.size or not flight.command[first, column].any():
         return False
     t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])[:, column]
-    later = np.column_stack([np.interp(t + REST, t, one) for one in pose.T])
-    moved = np.linalg.norm(later - pose, axis=1)
-    return bool(moved[min(int(np.searchsorted(t, start)), t.size - 1)] < AT_REST * np.quantile(moved, 0.75))
+    soon, later = (np.column_stack([np.interp(t + after, t, one) for one in pose.T]) for after in (REST, MOVES))
+    begin = min(int(np.searchsorted(t, start)), t.size - 1)
+    moved, away = np.linalg.norm(soon - pose, axis=1), np.linalg.norm(later[begin] - pose[begin])
+    return bool(moved[begin] < AT_REST * np.quantile(moved, 0.75) < AT_REST * away)
 
 
 def _numbered(time: Array, rate: float) -> Indices:
