@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
-from rotorfit.core.laws import DAMPING, DELAY, KICKS, LAG, ORDER, TRIM, ZERO
+from rotorfit.core.laws import DAMPING, DELAY, DELAY_RANGE, KICKS, LAG, ORDER, TRIM, ZERO
 from rotorfit.dynamics.general_step import (
     COLUMNS,
     MEAN,
@@ -31,7 +31,7 @@ from rotorfit.dynamics.general_step import (
 )
 from rotorfit.dynamics.response import VANISH_EVERY, vanished
 
-WARM_UP = 0.7
+WARM_UP = DELAY_RANGE[1] - DELAY_RANGE[0]
 """Time before the first scored pose over which the lagged input is simulated [s]: the range of delays searched, so that
 the first command of a segment is met at every delay."""
 

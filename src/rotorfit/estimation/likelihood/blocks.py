@@ -31,11 +31,11 @@ in a second, and a fraction of one change of acceleration if a command switches 
 
 
 REST, MOVES = 0.2, 1.0
-"""Times from its first command on in which a segment shows whether it begins at rest, as an answer hardly begins, and
-whether this command moves it [s]. One that does not, as in a hover in wind, counts as held before."""
+"""How long after its first command a segment shows that it begins at rest, since an answer has hardly begun, and that
+this command moves the vehicle [s]. A command that does not, as in a hover in wind, counts as held before."""
 
 AT_REST = 0.5
-"""Share of what an axis usually moves in the first of these times, the upper quartile, below which it is at rest."""
+"""Share of the upper quartile of what axes move in the first of these times below which they are at rest."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class Record:
         fresh: True for the first block of a segment, shape (B,).
         command_time: Stamps of the commands, shape (M,) [s].
         command: Commands in the heading frame, shape (M, K).
-        rested: Whether the vehicle is at rest at the first command of each segment, which is not zero, shape (S,).
+        rested: Whether the vehicle is at rest at the first command of each segment, and this command moves it, shape
+            (S,).
         held: Whether the filter may treat the heading as constant.
         heading: Mean heading [rad].
         rate: True for blocks of velocities, shape (B,); None without velocities.
@@ -141,7 +142,7 @@ class Record:
         spans = place[self.command_range]
         if not self.rested.any():
             return time, command, spans
-        first = spans[self.rested, 0]
+        first = np.unique(spans[self.rested, 0])
         inserted = np.searchsorted(first, spans)  # zeros before each
         return np.insert(time, first, time[first]), np.insert(command, first, 0.0, axis=0), spans + inserted
 
@@ -186,7 +187,7 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
     if len(axes) == 1 and axes[0] in ("x", "y"):
         pose[:2] = heading_from_world(flight.position[:, :2], np.full(flight.yaw.size, heading)).T
     t, command_time = flight.pose_time, flight.command_time
-    starts, pose_range, command_range, times, index, rested = [], [], [], [], [], []
+    begins, starts, pose_range, command_range, times, index = [], [], [], [], [], []
     block_count = n = 0
     for segment in flight.segments:
         first, last = np.searchsorted(t, [segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]])
@@ -195,10 +196,10 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         bins = np.arange(last - first)
         if np.isfinite(rate):
             bins = _numbered(t[first:last], rate)
+        begins.append(segment.start)
         starts.append(segment.start + DELAY_RANGE[1])
         pose_range.append((n, n + last - first))
         command_range.append(np.searchsorted(command_time, [segment.start, segment.end]))
-        rested.append(_at_rest(flight, segment.start, column))
         times.append(bins + block_count)
         index.append(slice(first, last))
         n += last - first
@@ -231,24 +232,35 @@ def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Re
         block_yaw=block_yaw,
         position=mean,
         fresh=fresh,
-        command_time=flight.command_time,
+        command_time=command_time,
         command=np.ascontiguousarray(flight.command[:, column]),
-        rested=np.array(rested),
+        rested=_rested(flight, np.array(begins), column),
         held=("x" not in axes and "y" not in axes) or bool(np.ptp(block_yaw) < 2 * HELD_HEADING),
         heading=heading,
     )
 
 
-def _at_rest(flight: Flight, start: float, column: Sequence[int]) -> bool:
-    """Whether axes hardly move in the first moment of a segment, and then are moved by its first command."""
-    first = int(np.searchsorted(flight.command_time, start))
-    if first == flight.command_time.size or not flight.command[first, column].any():
-        return False
-    t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])[:, column]
-    soon, later = (np.column_stack([np.interp(t + after, t, one) for one in pose.T]) for after in (REST, MOVES))
-    begin = min(int(np.searchsorted(t, start)), t.size - 1)
-    moved, away = np.linalg.norm(soon - pose, axis=1), np.linalg.norm(later[begin] - pose[begin])
-    return bool(moved[begin] < AT_REST * np.quantile(moved, 0.75) < AT_REST * away)
+def _rested(flight: Flight, begins: Array, column: Sequence[int]) -> Mask:
+    """Whether axes hardly move in the first moment of segments, and then are moved by the first command, shape (S,).
+
+    Args:
+        flight: The flight.
+        begins: Starts of the segments, shape (S,) [s].
+        column: Indices of the axes.
+    """
+    first = np.minimum(np.searchsorted(flight.command_time, begins), flight.command_time.size - 1)
+    commanded: Mask = flight.command[first][:, column].any(axis=1)
+    if not commanded.any():
+        return commanded
+    pose = np.column_stack([flight.position, flight.yaw])[:, column]
+
+    def at(time: Array) -> Array:
+        return np.column_stack([np.interp(time, flight.pose_time, one) for one in pose.T])
+
+    grid = np.arange(flight.pose_time[0], flight.pose_time[-1], REST)
+    usual = np.quantile(np.linalg.norm(np.diff(at(grid), axis=0), axis=1), 0.75)
+    moved, away = (np.linalg.norm(at(begins + after) - at(begins), axis=1) for after in (REST, MOVES))
+    return commanded & (moved < AT_REST * usual) & (away > usual)
 
 
 def _numbered(time: Array, rate: float) -> Indices:
@@ -354,7 +366,7 @@ def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record |
         )
     pose, velocity = pose[:, column], velocity[:, column]
     alone, rate_time = axes[0] in flight.velocity.alone, flight.velocity.true_time(axes[0])
-    parts, rested = [], []
+    begins, parts = [], []
     for segment in flight.segments:
         low, high = segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]
         poses = _blocks(flight.pose_time, pose, low, low if alone else high, rate)
@@ -362,7 +374,7 @@ def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record |
         if len(poses.value) + len(rates.value) >= 4 and len(rates.value):
             commands = np.searchsorted(flight.command_time, [segment.start, segment.end])
             parts.append(_fused(low, commands, poses, rates))
-            rested.append(_at_rest(flight, segment.start, column))
+            begins.append(segment.start)
     if not parts:
         return None
     ends = np.cumsum([part.time.size for part in parts])
@@ -387,7 +399,7 @@ def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record |
         fresh=np.concatenate([np.arange(part.stamp.size) == 0 for part in parts]),
         command_time=flight.command_time,
         command=np.ascontiguousarray(flight.command[:, column]),
-        rested=np.array(rested),
+        rested=_rested(flight, np.array(begins), column),
         held=("x" not in axes and "y" not in axes) or bool(np.ptp(block_yaw) < 2 * HELD_HEADING),
         heading=heading,
         rate=np.concatenate([part.rate for part in parts]),

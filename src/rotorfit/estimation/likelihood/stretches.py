@@ -42,15 +42,15 @@ def stretches(rec: Record) -> Record:
     pose_time = rec.pose_time[samples]
     starts = np.maximum(pose_time[pose_range[:, 0]], rec.starts[segment[keep[first]]])
     low, high = rec.command_range[segment[keep[first]]].T
-    acting = np.searchsorted(rec.command_time, starts - DELAY_RANGE[1], side="right") - 1
+    acting = np.clip(np.searchsorted(rec.command_time, starts - DELAY_RANGE[1], side="right") - 1, low, high)
     over = np.searchsorted(rec.command_time, pose_time[pose_range[:, 1] - 1] - DELAY_RANGE[0])
     steps, step = distinct_steps(time[keep])
     return replace(
         rec,
         starts=starts,
-        rested=rec.rested[segment[keep[first]]] & (starts == rec.starts[segment[keep[first]]]),
+        rested=rec.rested[segment[keep[first]]] & (acting == low),
         pose_range=pose_range,
-        command_range=np.column_stack([np.clip(acting, low, high), np.clip(over, low, high)]),
+        command_range=np.column_stack([acting, np.clip(over, low, high)]),
         pose_time=pose_time,
         yaw=rec.yaw[samples],
         block=block,

@@ -50,7 +50,7 @@ def windowed(flight: Flight, axes: Sequence[str]) -> Record | None:
         starts=rec.pose_time[first_pose],
         pose_range=np.column_stack([first_pose, np.append(first_pose[1:], rec.pose_time.size)]),
         command_range=rec.command_range[segment],
-        rested=rec.rested[segment] & rec.fresh[fresh],
+        rested=rec.rested[segment],
     )
 
 
