@@ -249,7 +249,7 @@ def _rested(flight: Flight, begins: Array, column: Sequence[int]) -> Mask:
         column: Indices of the axes.
     """
     first = np.minimum(np.searchsorted(flight.command_time, begins), flight.command_time.size - 1)
-    commanded: Mask = flight.command[first][:, column].any(axis=1)
+    commanded: Mask = np.any(flight.command[first][:, column] != 0.0, axis=1)
     if not commanded.any():
         return commanded
     pose = np.column_stack([flight.position, flight.yaw])[:, column]
@@ -260,7 +260,8 @@ def _rested(flight: Flight, begins: Array, column: Sequence[int]) -> Mask:
     grid = np.arange(flight.pose_time[0], flight.pose_time[-1], REST)
     usual = np.quantile(np.linalg.norm(np.diff(at(grid), axis=0), axis=1), 0.75)
     moved, away = (np.linalg.norm(at(begins + after) - at(begins), axis=1) for after in (REST, MOVES))
-    return commanded & (moved < AT_REST * usual) & (away > usual)
+    out: Mask = commanded & (moved < AT_REST * usual) & (away > usual)
+    return out
 
 
 def _numbered(time: Array, rate: float) -> Indices:
