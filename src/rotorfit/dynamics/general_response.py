@@ -39,8 +39,6 @@ _DRAG_STEP = 0.005
 
 _CROSS_STEP = 0.01
 
-_SERIES_REACH = 0.5
-
 
 @inner()
 def demands(law: Array, what: Any, whose: Any, u: Array, z: Array) -> None:
@@ -143,9 +141,6 @@ def longest_step(law: Array) -> float:
     """Longest admissible step [s]; longer stretches are subdivided."""
     longest = np.inf
     for a in range(law.shape[0]):
-        if law[a, ORDER] > 0:
-            rate, slow = 1.0 / law[a, LAG], law[a, DAMPING]
-            longest = min(longest, _SERIES_REACH / max(rate + slow, np.sqrt(rate * slow)))
         if int(law[a, KICKS]) % 2 == 1:
             longest = min(longest, _DRAG_STEP)
         if law[a, KICKS] >= 2:

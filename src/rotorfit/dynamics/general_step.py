@@ -48,6 +48,8 @@ STATE = 10 * COLUMNS
 
 _TERMS = 12
 
+_SERIES_REACH = 0.5
+
 _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=float))) for n in range(_TERMS + 4)])
 
 
@@ -103,7 +105,7 @@ def _fill_demand_slopes(law: Array, place: Any, command: Array, out: Array) -> N
 def lag_series(law: Array) -> Array:
     """Power series of the response to an impulse into v'' where v'' = -A v' - B v, by axis: shape (K, 2, 2, terms).
 
-    The first and second integrals of the response, each with its derivative by B; `linear_step` derives all else.
+    The first and second integrals of the response, each with its derivative by B; `impulse` derives all else.
     """
     out: Array = np.zeros((len(law), 2, 2, _TERMS))
     if np.any(law[:, ORDER]):
@@ -146,6 +148,51 @@ def lags_in_world(law: Array) -> bool:
     return bool((law[0, ORDER] < 2 or law[0, WORLD] > 0) and (law[1, ORDER] < 2 or law[1, WORLD] > 0))
 
 
+@inner(inline="always", fastmath={"contract"})
+def impulse(series: Array, a: int, A: float, B: float, dt: float) -> Any:
+    """The response G of v'' = -A v' - B v to an impulse into v'', its integrals J and H, and derivatives.
+
+    The series serves a short step, which is then doubled as often as needed. With D the derivative of G,
+    G + A J + B H = t and D + A G + B J = 1; the derivative of each by A equals the derivative by B of the next in the
+    sequence H, J, G, D.
+
+    Args:
+        series: From `lag_series`.
+        a: Index of the axis.
+        A: Sum of the two poles [1/s].
+        B: Their product [1/s^2].
+        dt: The step [s].
+
+    Returns:
+        G, J, H, dG/dA, dJ/dA (which is dG/dB), dJ/dB (which is dH/dA), dH/dB.
+
+    Source: C. Moler, C. Van Loan, SIAM Rev. 45 (2003), pp. 3-49, method 3: scaling and squaring.
+    """
+    fastest, doublings = max(A, np.sqrt(abs(B))), 0
+    while dt * fastest > _SERIES_REACH:
+        dt *= 0.5
+        doublings += 1
+    reach = dt * fastest
+    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else _TERMS)  # relative truncation error below 1e-12
+    J = H = JB = HB = 0.0
+    for n in range(terms - 1, -1, -1):
+        J, JB = J * dt + series[a, 0, 0, n], JB * dt + series[a, 0, 1, n]
+        H, HB = H * dt + series[a, 1, 0, n], HB * dt + series[a, 1, 1, n]
+    square = dt * dt
+    J, JB, H, HB = J * square, JB * square, H * square * dt, HB * square * dt
+    for _ in range(doublings):
+        G, GB = dt - A * J - B * H, -H - A * JB - B * HB
+        J, H, JB, HB = (
+            2.0 * J + G * G - B * J * J,
+            2.0 * H + dt * J + J * G - B * J * H,
+            2.0 * (JB + G * GB - B * J * JB) - J * J,
+            2.0 * HB + (dt + G) * JB + J * GB - H * J - B * (HB * J + H * JB),
+        )
+        dt *= 2.0
+    G, JA = dt - A * J - B * H, -H - A * JB - B * HB
+    return G, J, H, -J - A * JA - B * JB, JA, JB, HB
+
+
 @inner()
 def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     """Fills the linear step of axis a and its derivatives by the linear damping and by the rate of the lag.
@@ -153,8 +200,7 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     S[a] has shape (3, 12): each row has four coefficients each for the gain in p and the new v and q, as functions of
     v, q, the demand and the trim.
 
-    With G the response of `lag_series`, D its derivative, J and H its integrals: G + A J + B H = t and D + A G + B J =
-    1; the derivative of each by A equals the derivative by B of the next in the sequence H, J, G, D.
+    For G, D, J and H see `impulse`.
     """
     order, beta = law[a, ORDER], law[a, DAMPING] * (1.0 - law[a, SHARE])
     if order < 2:
@@ -166,17 +212,8 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
         return
     rate = 1.0 / law[a, LAG]
     A, B = _lag_rates(law, a)
-    reach = dt * max(A, np.sqrt(B))
-    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else _TERMS)  # relative truncation error below 1e-12
-    J = H = JB = HB = 0.0
-    for n in range(terms - 1, -1, -1):
-        J, JB = J * dt + series[a, 0, 0, n], JB * dt + series[a, 0, 1, n]
-        H, HB = H * dt + series[a, 1, 0, n], HB * dt + series[a, 1, 1, n]
-    square = dt * dt
-    J, JB, H, HB = J * square, JB * square, H * square * dt, HB * square * dt
-    G = dt - A * J - B * H
-    JA = GB = -H - A * JB - B * HB
-    GA = -J - A * GB - B * JB
+    G, J, H, GA, JA, JB, HB = impulse(series, a, A, B, dt)
+    GB = JA
     if order == 1:
         S[a, 0, 1], S[a, 0, 5] = J, G
         S[a, 1, 1], S[a, 1, 5] = JA + rate * JB, GA + rate * GB

@@ -13,9 +13,8 @@ import numpy as np
 from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DAMPING, DELAY, FIRST_ORDER_DELAY, GAIN, LAG, ORDER, TRIM, law_of
-from rotorfit.dynamics.general_response import WARM_UP, longest_step
-from rotorfit.dynamics.general_step import lag_series, lags_in_world
-from rotorfit.dynamics.lagged_response import impulse
+from rotorfit.dynamics.general_response import WARM_UP
+from rotorfit.dynamics.general_step import impulse, lag_series, lags_in_world
 from rotorfit.dynamics.response import VANISH_EVERY, transition, vanished
 
 _SLOT = 8
@@ -138,7 +137,6 @@ def _horizontal_response(
 
     `width` is `_SLOT`, not as a constant, so that loops are vectorised rather than unrolled.
     """
-    longest = longest_step(law)
     lagged, world = law[0, ORDER] + law[1, ORDER] > 0, lags_in_world(law)
     for s in range(starts.size):
         for n in range(10 * _SLOT):
@@ -166,47 +164,45 @@ def _horizontal_response(
                     if k[a] + 1 < last and command_time[k[a] + 1] + law[a, DELAY] <= t_next:
                         t_next, switch = command_time[k[a] + 1] + law[a, DELAY], a
                 if t_next > t:
-                    pieces = int(np.ceil((t_next - t) / longest - 1e-9)) if longest < t_next - t else 1
                     psi = yaw[i] + turn * (0.5 * (t + t_next) - stop)
                     c, sn = np.cos(psi), np.sin(psi)
                     qc, qs = (c, sn) if world else (1.0, 0.0)
-                    dt = (t_next - t) / pieces
-                    for _ in range(pieces):
-                        x, y = _moved(law, velocity, s, z, _S), _moved(law, velocity, s, z, _S + _SLOT)
-                        f0, k0, h0, df0, dk0, dh0 = transition(law[0, DAMPING], dt)
-                        f1, k1, h1, df1, dk1, dh1 = transition(law[1, DAMPING], dt)
-                        G0, J0, GA0, JA0, JB0, fade0 = _lag_step(law, series, 0, dt)
-                        G1, J1, GA1, JA1, JB1, fade1 = _lag_step(law, series, 1, dt)
-                        r0, r1 = _behind(law, z, qc, qs)
-                        pb, vb = _slowed(law, 0, z, c * x + sn * y, df0, dk0, dh0, GA0, JA0, JB0, r0)
-                        b0 = _carried(b0, c, sn, k0, f0, k1, f1, pb, vb, 0.0, 0.0)
-                        pb, vb = _slowed(law, 1, z, c * y - sn * x, df1, dk1, dh1, GA1, JA1, JB1, r1)
-                        b1 = _carried(b1, c, sn, k0, f0, k1, f1, 0.0, 0.0, pb, vb)
-                        if lagged:
-                            q0, q1 = qc * left0[0] + qs * left0[1], qc * left0[1] - qs * left0[0]
-                            pl, vl, q0 = _late(law, 0, q0, r0, dt, G0, J0, GA0, JA0, JB0, fade0)
-                            l0 = _carried(l0, c, sn, k0, f0, k1, f1, pl, vl, J1 * q1, G1 * q1)
-                            q1 *= fade1
-                            left0 = qc * q0 - qs * q1, qs * q0 + qc * q1
-                            q0, q1 = qc * left1[0] + qs * left1[1], qc * left1[1] - qs * left1[0]
-                            pl, vl, q1 = _late(law, 1, q1, r1, dt, G1, J1, GA1, JA1, JB1, fade1)
-                            l1 = _carried(l1, c, sn, k0, f0, k1, f1, J0 * q0, G0 * q0, pl, vl)
-                            q0 *= fade0
-                            left1 = qc * q0 - qs * q1, qs * q0 + qc * q1
-                            for j in range(width):
-                                vx, vy = _turned(z, _S + j, c, sn)
-                                qx, qy = _turned(z, _Q + j, qc, qs)
-                                dx, dy = z[_D + j], z[_D + _SLOT + j]
-                                qx, qy = qx - dx, qy - dy
-                                wx, wy = dx + z[_T + j], dy + z[_T + _SLOT + j]
-                                px, py = k0 * vx + J0 * qx + h0 * wx, k1 * vy + J1 * qy + h1 * wy
-                                vx, vy = f0 * vx + G0 * qx + k0 * wx, f1 * vy + G1 * qy + k1 * wy
-                                qx, qy = dx + fade0 * qx, dy + fade1 * qy
-                                z[_P + j] += c * px - sn * py
-                                z[_P + _SLOT + j] += sn * px + c * py
-                                z[_S + j], z[_S + _SLOT + j] = c * vx - sn * vy, sn * vx + c * vy
-                                z[_Q + j], z[_Q + _SLOT + j] = qc * qx - qs * qy, qs * qx + qc * qy
-                            continue
+                    dt = t_next - t
+                    x, y = _moved(law, velocity, s, z, _S), _moved(law, velocity, s, z, _S + _SLOT)
+                    f0, k0, h0, df0, dk0, dh0 = transition(law[0, DAMPING], dt)
+                    f1, k1, h1, df1, dk1, dh1 = transition(law[1, DAMPING], dt)
+                    G0, J0, GA0, JA0, JB0, fade0 = _lag_step(law, series, 0, dt)
+                    G1, J1, GA1, JA1, JB1, fade1 = _lag_step(law, series, 1, dt)
+                    r0, r1 = _behind(law, z, qc, qs)
+                    pb, vb = _slowed(law, 0, z, c * x + sn * y, df0, dk0, dh0, GA0, JA0, JB0, r0)
+                    b0 = _carried(b0, c, sn, k0, f0, k1, f1, pb, vb, 0.0, 0.0)
+                    pb, vb = _slowed(law, 1, z, c * y - sn * x, df1, dk1, dh1, GA1, JA1, JB1, r1)
+                    b1 = _carried(b1, c, sn, k0, f0, k1, f1, 0.0, 0.0, pb, vb)
+                    if lagged:
+                        q0, q1 = qc * left0[0] + qs * left0[1], qc * left0[1] - qs * left0[0]
+                        pl, vl, q0 = _late(law, 0, q0, r0, dt, G0, J0, GA0, JA0, JB0, fade0)
+                        l0 = _carried(l0, c, sn, k0, f0, k1, f1, pl, vl, J1 * q1, G1 * q1)
+                        q1 *= fade1
+                        left0 = qc * q0 - qs * q1, qs * q0 + qc * q1
+                        q0, q1 = qc * left1[0] + qs * left1[1], qc * left1[1] - qs * left1[0]
+                        pl, vl, q1 = _late(law, 1, q1, r1, dt, G1, J1, GA1, JA1, JB1, fade1)
+                        l1 = _carried(l1, c, sn, k0, f0, k1, f1, J0 * q0, G0 * q0, pl, vl)
+                        q0 *= fade0
+                        left1 = qc * q0 - qs * q1, qs * q0 + qc * q1
+                        for j in range(width):
+                            vx, vy = _turned(z, _S + j, c, sn)
+                            qx, qy = _turned(z, _Q + j, qc, qs)
+                            dx, dy = z[_D + j], z[_D + _SLOT + j]
+                            qx, qy = qx - dx, qy - dy
+                            wx, wy = dx + z[_T + j], dy + z[_T + _SLOT + j]
+                            px, py = k0 * vx + J0 * qx + h0 * wx, k1 * vy + J1 * qy + h1 * wy
+                            vx, vy = f0 * vx + G0 * qx + k0 * wx, f1 * vy + G1 * qy + k1 * wy
+                            qx, qy = dx + fade0 * qx, dy + fade1 * qy
+                            z[_P + j] += c * px - sn * py
+                            z[_P + _SLOT + j] += sn * px + c * py
+                            z[_S + j], z[_S + _SLOT + j] = c * vx - sn * vy, sn * vx + c * vy
+                            z[_Q + j], z[_Q + _SLOT + j] = qc * qx - qs * qy, qs * qx + qc * qy
+                    else:
                         for j in range(width):
                             vx, vy = _turned(z, _S + j, c, sn)
                             wx, wy = z[_D + j] + z[_T + j], z[_D + _SLOT + j] + z[_T + _SLOT + j]
@@ -311,7 +307,7 @@ def _lag_step(law: Array, series: Array, a: int, dt: float) -> Any:
     if law[a, ORDER] == 0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     rate = 1.0 / law[a, LAG]
-    G, J, _, GA, JA, JB, _ = impulse(series, a, rate, law[a, DAMPING], False, dt)
+    G, J, _, GA, JA, JB, _ = impulse(series, a, rate + law[a, DAMPING], rate * law[a, DAMPING], dt)
     return G, J, GA, JA, JB, np.exp(-rate * dt)
 
 

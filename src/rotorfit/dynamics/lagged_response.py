@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.core.compiled import inner, kernel
+from rotorfit.core.compiled import kernel
 from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, ORDER, TRIM, ZERO
-from rotorfit.dynamics.general_response import WARM_UP, longest_step
-from rotorfit.dynamics.general_step import lag_series
+from rotorfit.dynamics.general_response import WARM_UP
+from rotorfit.dynamics.general_step import impulse, lag_series
 from rotorfit.dynamics.response import VANISH_EVERY, transition, vanished
 
 
@@ -63,7 +63,7 @@ def _lagged_axis_response(
     """The compiled loop; `out` is filled with zeros."""
     gain, trim, damping, delay = law[0, GAIN], law[0, TRIM], law[0, DAMPING], law[0, DELAY]
     rate, second, lead = 1.0 / law[0, LAG], law[0, ORDER] == 2, law[0, ZERO] / law[0, LAG]
-    longest = longest_step(law)
+    A, B = rate if second else rate + damping, rate * damping
     for s in range(starts.size):
         t, begin = starts[s] - WARM_UP, starts[s]
         k, last = command_range[s, 0], command_range[s, 1]
@@ -83,14 +83,13 @@ def _lagged_axis_response(
             while t < stop:
                 switch = k + 1 < last and command_time[k + 1] + delay <= stop
                 t_next = command_time[k + 1] + delay if switch else stop
-                while t < t_next:
-                    dt = min(t_next - t, longest)
+                if t < t_next:
+                    dt = t_next - t
                     v = gain * gv + c0 * cv + v0 * sv
                     q = gain * gq + c0 * cq + v0 * sq
                     w = gain * u
-                    G, J, H, GA, JA, JB, HB = impulse(series, 0, rate, damping, second, dt)
+                    G, J, H, GA, JA, JB, HB = impulse(series, 0, A, B, dt)
                     if second:
-                        B = rate * damping
                         D, GB = 1.0 - rate * G - B * J, JA
                         DA, DB, HA = -G - rate * GA - B * JA, GA, JB
                         p_v, p_w, v_v, v_w, q_v, q_w = G + rate * J, rate * H, D + rate * G, rate * J, -B * G, rate * G
@@ -142,9 +141,7 @@ def _lagged_axis_response(
                         tp += kk * tv + J * tq
                         tv = f * tv + G * tq
                         tq = fade * tq
-                    t += dt
-                    if t_next - t < 1e-12:
-                        t = t_next
+                    t = t_next
                 if switch:
                     change = command[k + 1] - u
                     if second:
@@ -189,28 +186,3 @@ def _lagged_axis_response(
             out[b, 6, 0] += w_block * cp
             out[b, 7, 0] += w_block * sp
             i += 1
-
-
-@inner(inline="always", fastmath={"contract"})
-def impulse(series: Array, a: int, rate: float, damping: float, second: bool, dt: float) -> Any:
-    """The response G of the velocity of axis a to an impulse of its third state, its integrals J and H, derivatives.
-
-    Returns:
-        G, J, H, dG/dA, dJ/dA (which is dG/dB), dJ/dB (which is dH/dA), dH/dB; see `general_step.linear_step`.
-    """
-    A, B = (rate if second else rate + damping), rate * damping
-    reach = dt * max(A, np.sqrt(B))
-    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else 12)  # relative truncation error below 1e-12
-    J = H = JB = HB = 0.0
-    for n in range(terms - 1, -1, -1):
-        J = J * dt + series[a, 0, 0, n]
-        JB = JB * dt + series[a, 0, 1, n]
-        H = H * dt + series[a, 1, 0, n]
-        HB = HB * dt + series[a, 1, 1, n]
-    square = dt * dt
-    J, JB = J * square, JB * square
-    H, HB = H * square * dt, HB * square * dt
-    G = dt - A * J - B * H
-    JA = -H - A * JB - B * HB
-    GA = -J - A * JA - B * JB
-    return G, J, H, GA, JA, JB, HB
