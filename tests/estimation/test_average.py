@@ -121,7 +121,8 @@ def test_a_climb_is_given_up_only_where_its_law_would_be_left_out(monkeypatch: p
     assert climbed == [LAGGED]
     monkeypatch.setattr(law_average, "_cannot_hold", lambda *_: False)
     thorough = fit([flight], axes=("z",)).model
-    assert climbed == [LAGGED, LAGGED, LOOP]
+    assert climbed[1] == LAGGED
+    assert set(climbed[2:]) == {LOOP}
     assert to_mapping(quick) == to_mapping(thorough)
 
 

@@ -1,9 +1,9 @@
-"""Starts of a law with a lag: the best nodes of a grid over delay, damping, lag and zero, climbed on thinned records.
+"""Starts of a law with a lag: the best nodes of a grid over delay, damping and lag, climbed on thinned records.
 
 A climb that starts only from the maximum of the first-order law finds the nearest optimum, not the best one: a loop
-that overshoots and a long lag are both mistaken for more delay. At fixed delay, damping, lag and zero the motion is
-linear in all other parameters, so one pass gives the objective at their best values; records at a third of the rate are
-sufficient for that.
+that overshoots and a long lag are both mistaken for more delay. At fixed delay, damping and lag the motion is linear in
+all other parameters (in the gain and in the product of gain and zero), so one pass gives the objective at their best
+values; records at a third of the rate are sufficient for that.
 
 Source: G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973), pp. 413-432 (linear parameters projected out).
 """
@@ -14,13 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.core.frames import Array, Indices
+from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.laws import FIRST_ORDER_DELAY, LAG, ZERO, Structure
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.estimation.likelihood.axis_estimate import free_of
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
-from rotorfit.estimation.likelihood.likelihood import inverted, linear_scores
+from rotorfit.estimation.likelihood.likelihood import LikelihoodScore, inverted, linear_scores
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
 from rotorfit.estimation.likelihood.stretches import stretches
@@ -30,9 +30,7 @@ DELAYS = (0.0, 0.08, 0.18, 0.3, 0.45)
 DAMPINGS = (0.3, 1.2, 4.0, 12.0)
 
 LAGS = (0.03, 0.1, 0.25, 0.6)
-
-ZEROS = (0.0, 0.1, 0.3)
-"""Nodes of the grid: `DELAYS` [s], `DAMPINGS` [1/s], `LAGS` [s] and `ZEROS` [s]."""
+"""Nodes of the grid: `DELAYS` [s], `DAMPINGS` [1/s] and `LAGS` [s]."""
 
 EVERY = 3
 """Every third block of a record is used, which is still ten a second."""
@@ -75,7 +73,7 @@ def law_starts(
     coarse, start = [thinned_record(rec) for rec in records], point.start
     if (count := sum(rec.starts.size for rec in coarse)) > len(start):
         point = replace(point, start=np.zeros((count, point.gain.size)))  # linear parameters, found in one step
-    levels_held = free_of(coarse, [True] * point.gain.size, _at(point, k, structure, (0.1, 1.0, 0.1, 0.0)).structures)
+    levels_held = free_of(coarse, [True] * point.gain.size, _at(point, k, structure, (0.1, 1.0, 0.1)).structures)
     levels_held[-point.levels.size :] = False
     sign = np.sign(point.gain[k])
     nodes = sorted(
@@ -111,14 +109,13 @@ def swapped(point: Point, k: int) -> Point | None:
 
 
 def _grid(structure: Structure) -> Iterable[tuple[float, ...]]:
-    zeros = ZEROS if any(extra.place == ZERO for extra in structure.extras) else (0.0,)
-    nodes = itertools.product(DELAYS if structure.delayed else (0.0,), DAMPINGS, LAGS, zeros)
+    nodes = itertools.product(DELAYS if structure.delayed else (0.0,), DAMPINGS, LAGS)
     return (node for node in nodes if structure.order != 1 or node[1] * node[2] <= 1)
 
 
 def _at(point: Point, k: int, structure: Structure, node: Sequence[float]) -> Point:
-    """The point with axis k at a node of the grid: delay, damping, lag and zero."""
-    delay, damping, lag, zero = node
+    """The point with axis k at a node of the grid: delay, damping and lag; without a zero."""
+    delay, damping, lag = node
     K = point.gain.size
     gain, log_damping, delays = point.gain.copy(), point.log_damping.copy(), point.delay.copy()
     log_damping[k], delays[k] = np.log(damping), delay
@@ -126,7 +123,7 @@ def _at(point: Point, k: int, structure: Structure, node: Sequence[float]) -> Po
     extra = np.zeros((max(len(point.extra), len(structure.extras)), K))
     extra[: len(point.extra)] = point.extra if point.extra.size else 0.0
     for e, one in enumerate(structure.extras):
-        extra[e, k] = one.coordinate(lag if one.place == LAG else zero)
+        extra[e, k] = one.coordinate(lag if one.place == LAG else 0.0)
     laws = list(point.structures or (FIRST_ORDER_DELAY,) * K)
     laws[k] = structure
     return replace(point, gain=gain, log_damping=log_damping, delay=delays, extra=extra, structures=tuple(laws))
@@ -135,7 +132,7 @@ def _at(point: Point, k: int, structure: Structure, node: Sequence[float]) -> Po
 def projected(
     records: Sequence[Record], points: Sequence[Point], k: int, prior: GaussianPrior | None
 ) -> list[tuple[float, Point]]:
-    """Largest objective over the gain of axis k, trims and start velocities, and the point at which it is attained.
+    """Largest objective over gain, zero, trims and start velocities, and where it is attained.
 
     Args:
         records: The flights.
@@ -143,17 +140,38 @@ def projected(
         k: Index of the axis.
         prior: Prior of the parameters of the laws.
     """
-    linear, out = np.zeros(points[0].flat().size, bool), []
-    linear[k] = True
-    linear[points[0].coefficients : points[0].n] = True
+    out = []
     for first in range(0, len(points), TOGETHER):
         some = points[first : first + TOGETHER]
         for point, there in zip(some, linear_scores(records, some, k), strict=True):
-            here = with_prior(there, point, prior)
-            step = inverted(here.information, linear) @ here.gradient
-            gain = 0.5 * float(step @ here.gradient)
-            out.append((here.objective + gain, point.with_flat(point.flat() + step)))
+            out.append(_at_best(point, with_prior(there, point, prior), k))
     return out
+
+
+def _at_best(point: Point, here: LikelihoodScore, k: int) -> tuple[float, Point]:
+    """The objective and the point at its best linear parameters; at the zero of the point where that leaves its range.
+
+    What is linear in place of the zero is its product with the gain.
+    """
+    linear = np.zeros(point.flat().size, bool)
+    linear[k] = True
+    linear[point.coefficients : point.n] = True
+    for e, one in enumerate(point.extras(k)):
+        if one.place != ZERO:
+            continue
+        free = linear.copy()
+        free[(3 + e) * point.gain.size + k] = True
+        value, there = _solved(point, here, free)
+        extra, share = there.extra.copy(), point.gain[k] / there.gain[k]
+        extra[e, k] = point.extra[e, k] + share * (extra[e, k] - point.extra[e, k])
+        if one.low <= extra[e, k] <= one.high:
+            return value, replace(there, extra=extra)
+    return _solved(point, here, linear)
+
+
+def _solved(point: Point, here: LikelihoodScore, linear: Mask) -> tuple[float, Point]:
+    step = inverted(here.information, linear) @ here.gradient
+    return here.objective + 0.5 * float(step @ here.gradient), point.with_flat(point.flat() + step)
 
 
 def _spread(points: Iterable[Point], k: int, most: int) -> list[Point]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices, Mask
+from rotorfit.core.laws import ZERO
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
 from rotorfit.dynamics.whitening import Piece, axis_pieces, plane_pieces
 from rotorfit.estimation.likelihood.block_response import response
@@ -263,8 +264,8 @@ def score(
 def linear_scores(records: Sequence[Record], points: Sequence[Point], k: int) -> list[LikelihoodScore]:
     """The scores at points with the same levels, in one pass of the filter over the flights.
 
-    Of gradient and information only the part of the gain of axis k, the trims and the start velocities is computed: the
-    motion is linear in them.
+    Of gradient and information only the part of the gain and the zero of axis k, the trims and the start velocities is
+    computed: the motion is linear in them, if not in gain and zero together.
 
     Args:
         records: The flights.
@@ -274,17 +275,19 @@ def linear_scores(records: Sequence[Record], points: Sequence[Point], k: int) ->
     first, N = points[0], len(points)
     K, n, L = first.gain.size, first.n, first.levels.size
     information, gradient, log_likelihood = np.zeros((N, n + L, n + L)), np.zeros((N, n + L)), np.zeros(N)
+    zeros = [(3 + e) * K + k for e, one in enumerate(first.extras(k)) if one.place == ZERO]
+    linear = [k, *zeros, *range(-2 * K, 0)]
     for j, (rec, at) in enumerate(_flights(records)):
         columns = []
         for point in points:
             mean, sensitivity = response(rec, point, j, point.start[at])
-            own = [(rec.position - mean)[:, None], sensitivity[:, k : k + 1], sensitivity[:, -2 * K :]]
+            own = [(rec.position - mean)[:, None], sensitivity[:, linear]]
             columns += [part.transpose(0, 2, 1) for part in own]
-        places = [where[[k, *range(-2 * K, 0)]] for where in _places(rec, first, j, at)]
+        places = [where[linear] for where in _places(rec, first, j, at)]
         for piece, rows, _, variance in _filtered(rec, columns, first.levels[None], 1):
-            each = rows.reshape(-1, K, N, 2 + 2 * K).transpose(2, 0, 1, 3)
+            each = rows.reshape(-1, K, N, 1 + len(linear)).transpose(2, 0, 1, 3)
             for where, part in _parts(rec, places, piece):
-                flat = each[:, part].reshape(N, -1, 2 + 2 * K)
+                flat = each[:, part].reshape(N, -1, 1 + len(linear))
                 product = flat.transpose(0, 2, 1) @ flat
                 information[:, where[:, None], where] += product[:, 1:, 1:]
                 gradient[:, where] += product[:, 1:, 0]

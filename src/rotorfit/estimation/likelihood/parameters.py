@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from rotorfit.core.frames import Array
-from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, LAG, Measured, Structure, law_of, level_range
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, LAG, Extra, Measured, Structure, law_of, level_range
 
 DAMPING_RANGE = (1e-3, 100.0)
 """Range of dampings that is searched [1/s]."""
@@ -116,10 +116,13 @@ class Point:
             return ("input", "damping", "delay").index(name) * K + k
         return (3 + [extra.name for extra in self.structures[k].extras].index(name)) * K + k
 
+    def extras(self, k: int) -> tuple[Extra, ...]:
+        """Further parameters of the law of axis k."""
+        return self.structures[k].extras if self.structures else ()
+
     def extra_values(self, k: int) -> dict[str, float]:
         """Further parameters of axis k by name."""
-        extras = self.structures[k].extras if self.structures else ()
-        return {extra.name: extra.value(self.extra[e, k]) for e, extra in enumerate(extras)}
+        return {extra.name: extra.value(self.extra[e, k]) for e, extra in enumerate(self.extras(k))}
 
     @property
     def laws(self) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, heading_from_world, world_from_heading
-from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Structure
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Structure, start_levels
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, free_of, maximise_restricted
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
@@ -32,6 +32,10 @@ are held shift the order of maxima so close."""
 SAME_MAXIMUM = 0.3
 """Distance within which two short climbs count as on their way to one maximum [standard errors]: all of nine pairs on
 two flights ended there; of pairs 0.5 to 1 apart one did not."""
+
+FAR_ABOVE = 20.0
+"""Rise of the log-likelihood over the first-order law from which a law with a lag is sought from the usual levels, too:
+the levels of a law so far from true rank its starts wrongly."""
 
 Start = tuple[float, float, float, tuple[float, ...]]
 """Factors of a start on gain and damping, its delay [s] and its further parameters."""
@@ -127,16 +131,24 @@ def under_law(
     """Estimate of one axis by itself under a structure; arguments as for `estimate_laws`."""
     if structure == FIRST_ORDER_DELAY:
         return estimate
-    records, prior = estimate.records, prior_of((axis,), (structure,))
-    found = [
-        _begun(records, point, [True], prior) for point in _starts(records, estimate.optimum.point, 0, structure, prior)
-    ]
+    records, prior, start = estimate.records, prior_of((axis,), (structure,)), estimate.optimum.point
+    top = _top(records, start, structure, prior, hopeless)
+    if structure.order and posterior(top) > estimate.optimum.score.log_likelihood + FAR_ABOVE:
+        usual = replace(start, levels=np.tile(start_levels(start.measured), (len(start.levels), 1)))
+        top = max(top, _top(records, usual, structure, prior, hopeless), key=posterior)
+    return replace(estimate, optimum=top)
+
+
+def _top(
+    records: Sequence[Record], point: Point, structure: Structure, prior: GaussianPrior | None, hopeless: Hopeless
+) -> Optimum:
+    """The highest maximum of one axis by itself that is reached from the starts of a structure."""
+    found = [_begun(records, start, [True], prior) for start in _starts(records, point, 0, structure, prior)]
     highest = max(one.score.objective for one in found)
     found = _apart([one for one in found if one.score.objective > highest - NEAR])
-    if all(hopeless((axis,), one) for one in found):
-        return replace(estimate, optimum=found[0])
-    tops = [finished(records, one.point, [True], prior, hopeless) for one in found]
-    return replace(estimate, optimum=max(tops, key=posterior))
+    if all(hopeless(records[0].axes, one) for one in found):
+        return found[0]
+    return max((finished(records, one.point, [True], prior, hopeless) for one in found), key=posterior)
 
 
 def _apart(found: Sequence[Optimum]) -> list[Optimum]:
