@@ -323,8 +323,29 @@ def test_a_flight_with_another_gain_is_told_with_it() -> None:
     assert tests.own_p is not None
     assert tests.own_p > 0.05
     assert own["input"] == pytest.approx(0.2, abs=0.03)
-    assert re.search(r"by other coefficients than the model's \(input 1\.[12]\d times, damping ", told.effect)
+    assert re.search(r"other coefficients than the model's \(input 1\.[12]\d times, damping ", told.effect)
     assert "differs on this flight, or its answer depends on the size or speed of the commands" in told.effect
+
+
+def test_another_vehicle_is_told_on_every_axis_however_large_the_errors_are() -> None:
+    """Innovations that consist of the model's errors must not pass for noise among which nothing is significant."""
+    truth, model = Truth(), pair(1000)[0]
+    other = replace(truth, gamma=tuple(0.6 * value for value in truth.gamma), delay=tuple(d + 0.1 for d in truth.delay))
+    found = validate(model, [flown(other, steps(seed=2), 40.0, 2)], (1.0,))
+
+    assert {f.axis for f in found.findings if f.code == "residuals_follow_command"} == set(AXES)
+    assert all(tests.command_p is not None and tests.command_p < 1e-12 for tests in found.residuals[0].values())
+
+
+def test_coefficients_beyond_the_reach_of_one_linear_step_are_not_given() -> None:
+    rng = np.random.default_rng(4)
+    past = past_commands(rng)
+    e = rng.standard_normal(N) + 2.0 * (past[:, 5] - past[:, 6])
+    found = outcome(Innovations(TIME, e, past, np.stack([past[:, 5] - past[:, 6], TIME, np.ones(N)], axis=1)))
+    far = replace(found, own_step={"input": 10.9, "damping": 10.9, "delay": -0.03})
+    (told,) = [each for each in findings_of_residuals("x", far, "f") if each.code == "residuals_follow_command"]
+
+    assert "(far from these)" in told.effect
 
 
 def test_an_answer_that_no_coefficients_give_is_left_out_by_the_model() -> None:

@@ -86,3 +86,8 @@ class ResidualTests:
     follows_command: bool | None
     own_p: float | None = None
     own_step: Mapping[str, float] = field(default_factory=dict)
+
+
+def told_p(p: float) -> str:
+    """A p-value as text; below 1e-12 no approximation of the tail is worth a digit."""
+    return f"p = {p:.2g}" if p >= 1e-12 else "p < 1e-12"

@@ -16,7 +16,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named
 from rotorfit.core.limits import Figure
 from rotorfit.core.model import STRUCTURE, Interval, Model
-from rotorfit.core.residuals import ResidualTests
+from rotorfit.core.residuals import ResidualTests, told_p
 from rotorfit.core.results import HORIZONS, Difference, FlightScores, Paired, Validation, named_apart
 from rotorfit.reporting.verdict import Use, Verdict, better, errors_text
 from rotorfit.reporting.words import figure, rounded, sentences, term_of
@@ -325,11 +325,11 @@ def _residual_row(path: str, axis: str, tests: ResidualTests) -> list[str]:
     low, high = tests.variance_ci95
     command = "not tested"
     if tests.command_p is not None:
-        command = f"{'follow' if tests.follows_command else 'free of'} them (p = {tests.command_p:.2g})"
+        command = f"{'follow' if tests.follows_command else 'free of'} them ({told_p(tests.command_p)})"
     return [
         path,
         axis,
-        f"{'white' if tests.white else 'not white'} (p = {tests.white_p:.2g})",
+        f"{'white' if tests.white else 'not white'} ({told_p(tests.white_p)})",
         f"{tests.ljung_box:.0f}, {tests.lags}",
         command,
         f"{tests.variance_ratio:.2f} ({low:.2f} to {high:.2f})",

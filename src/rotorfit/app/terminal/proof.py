@@ -12,12 +12,12 @@ from rotorfit.assessment.rows import SPEED
 from rotorfit.core.finding import told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.plain import listed
+from rotorfit.core.residuals import ResidualTests, told_p
 from rotorfit.core.results import named_apart, pool_lines
 
 if TYPE_CHECKING:
     from rotorfit.assessment.leave_one_out import LeaveOneOut
     from rotorfit.core.error_bands import Coverage
-    from rotorfit.core.residuals import ResidualTests
     from rotorfit.core.results import Difference, FlightScores, PairedTest, Quantity, Validation
 
 SHORT_HORIZON = "1"
@@ -177,10 +177,10 @@ def residuals_view(validation: "Validation") -> View:
 def residual_line(tests: "ResidualTests") -> str:
     """The tests of one axis in a line."""
     low, high = tests.variance_ci95
-    parts = [f"{'white' if tests.white else 'not white'} (p = {tests.white_p:.2g}, {tests.lags} lags)"]
+    parts = [f"{'white' if tests.white else 'not white'} ({told_p(tests.white_p)}, {tests.lags} lags)"]
     if tests.command_p is not None:
         does = "follow past commands" if tests.follows_command else "free of past commands"
-        parts.append(f"{does} (p = {tests.command_p:.2g})")
+        parts.append(f"{does} ({told_p(tests.command_p)})")
     parts.append(f"variance {tests.variance_ratio:.2g} of the fit's ({low:.2g} to {high:.2g})")
     return ", ".join(parts)
 
