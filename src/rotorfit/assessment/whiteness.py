@@ -204,11 +204,11 @@ def _share(u: Array, e: Array) -> float:
     """Share of the variance of e (n,) that the commands u (n, m) explain, adjusted for their number."""
     n, m = u.shape
     left = _left(u, e)
-    return 1 - float(left @ left) / float(e @ e) * (n - 1) / max(n - m - 1, 1)
+    return float(1 - left @ left / (e @ e) * (n - 1) / max(n - m - 1, 1))
 
 
 def _left(u: Array, e: Array) -> Array:
-    return e - u @ np.linalg.lstsq(u, e)[0]  # type: ignore[no-any-return]
+    return np.asarray(e - u @ np.linalg.lstsq(u, e)[0])
 
 
 def _optimism(innovations: Innovations, colour: Array) -> dict[str, float]:
