@@ -20,7 +20,13 @@ from rotorfit.reporting.reproduce import card_text
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
 from rotorfit.simulation.published import PUBLISHED
 
-CODES = {"gain_contradicts_limit", "final_speed_above_command", "axes_differ", "published_sets_disagree"}
+CODES = {
+    "gain_contradicts_limit",
+    "final_speed_above_command",
+    "final_speed_below_command",
+    "axes_differ",
+    "published_sets_disagree",
+}
 
 
 def found(model: Model) -> dict[tuple[str, str | None], Finding]:
@@ -129,6 +135,7 @@ def test_no_velocity_loop_ends_above_what_is_commanded() -> None:
     for ratio, speaks in ((1.1, True), (0.9, False), (1.0, False), (1.5, False)):
         told = found(model_of({"x": (1.1 * 9.81, 1.0, 0.1), "z": (2 * ratio, 2.0, 0.1)}, card, error=0.01))
         assert (("final_speed_above_command", "z") in told) == speaks, ratio
+        assert (("final_speed_below_command", "z") in told) == (ratio == 0.9), ratio
         assert ("final_speed_above_command", "x") not in told
     assert not found(model_of({"z": (2.2, 2.0, 0.1)}, card, error=0.2))
 
@@ -238,7 +245,9 @@ def test_every_finding_is_whole_sentences_in_one_line_each_and_its_margins_are_r
     model = pair((9.0, 3.0), (0.1, 0.6))
     card = demo_card("tilt = { value = 10, unit = 'deg' }", "Bebop 2")
     above = model_of({"z": (2.2, 2.0, 0.1)}, demo_card("", z="{ from = 'b', unit = 'm/s' }"), error=0.01)
-    told = (*findings_of_settings(replace(model, card=card)), *findings_of_settings(above))
+    below = model_of({"z": (1.8, 2.0, 0.1)}, above.card, error=0.01)
+    models = (replace(model, card=card), above, below)
+    told = [finding for one in models for finding in findings_of_settings(one)]
 
     assert {finding.code for finding in told} == CODES
     for finding in told:

@@ -661,7 +661,7 @@ def test_the_verdict_says_how_far_off_in_units_for_people() -> None:
     assert x.sentences[0] == f"Over the first second: off by 2.7 cm/s, and 2.7 cm at the end, 3.9 {held}"
     assert x.sentences[1] == f"Over the first 5 s: off by 19 cm/s, and 19 cm at the end, 10 {held}"
     assert "Tested at up to 0.50 m/s." in x.sentences
-    assert "A command acts after 0.15 s (0.14 to 0.16 s)." in x.sentences
+    assert "The motion answers a command after 0.15 s (0.14 to 0.16 s)." in x.sentences
     assert yaw.error == "0.57 deg/s"
     assert "Tested at up to 29 deg/s." in yaw.sentences
 

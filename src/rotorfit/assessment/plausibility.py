@@ -14,7 +14,8 @@ LIMIT_MARGIN = 1.2
 """Factor by which the whole interval must miss the value expected from the card."""
 
 ABOVE = 1.02
-"""Factor above the speed commanded from which on the whole interval of a final speed is that of no velocity loop."""
+"""Factor above the speed commanded from which on the whole interval of a final speed is that of no velocity loop; below
+1 / `ABOVE` it is not that of a loop with an integral part."""
 
 LIKE_GRAVITY = 1.05
 """Factor by which an input may differ from gravity where gravity is used as a check."""
@@ -51,7 +52,7 @@ def findings_of_settings(model: Model) -> tuple[Finding, ...]:
     limits = (
         finding
         for axis in AXES
-        for check in (_against_limits, _above_command, _by_gravity)
+        for check in (_against_limits, _above_command, _below_command, _by_gravity)
         for finding in check(model, axis)
     )
     return (*limits, *_against_symmetry(model), *_against_published(model))
@@ -96,6 +97,26 @@ def _above_command(model: Model, axis: str) -> Iterator[Finding]:
         f"final speed and slow motion of {axis} are extrapolated from short commands: a loop with an integral part "
         "overshoots, and then ends at what is commanded; motion like that flown is not concerned",
         f"hold some commands of {axis} until the speed is steady, for 9 s or more; and check the unit of the command",
+        axis,
+    )
+
+
+def _below_command(model: Model, axis: str) -> Iterator[Finding]:
+    """A final speed below the one commanded in SI, which a loop with an integral part reaches later."""
+    ratio, meaning = compared(model, axis).ratio, meaning_of(model.card, axis)
+    if meaning.asked == "tilt" or meaning.limit or ratio is None or ratio.value is None or None in ratio.ci95:
+        return
+    low, high = (float(end) for end in ratio.ci95 if end is not None)
+    if not 1 / LIMIT_MARGIN <= high < 1 / ABOVE:  # below that the card is in doubt
+        return
+    yield Finding(
+        "final_speed_below_command",
+        "info",
+        f"the law of {axis} ends at {ratio.value:.3g} times what is commanded (95 %: {low:.3g} to {high:.3g})",
+        "little for a velocity loop without an integral part, which falls short by drag / (gain + drag); one with an "
+        "integral part creeps up to what is commanded, over more seconds than commands lasted: then final speed and "
+        f"total lag of {axis} are wrong for slow motion, and motion like that flown is not concerned",
+        f"look at the speed at the end of a command of {axis} that is held for 30 s",
         axis,
     )
 

@@ -58,7 +58,7 @@ UNITS: Mapping[str, str] = {
     "bandwidth": "rad/s",
     "input": "m/s^2 (yaw: rad/s^2) per unit of the command",
     "damping": "1/s",
-    "delay": "s, from the command until it acts",
+    "delay": "s, from the command until the motion answers",
     "full_scale": "largest command, in its own unit; left out where the card does not tell it",
     "stiffness": "1/s^2",
     "rate_gain": "1/s",

@@ -519,7 +519,7 @@ def _answers(known: Axis) -> list[str]:
     if known.delay is not None:
         low, high = known.ci95["delay"]
         ends = "" if low is None or high is None else f" ({max(low, 0.0):.2f} to {high:.2f} s)"
-        return [f"a command acts after {known.delay:.2f} s{ends}"]
+        return [f"the motion answers a command after {known.delay:.2f} s{ends}"]
     lag = known.combinations.get("total_lag")
     return [f"the motion trails its command by {lag.value:.2f} s"] if lag is not None and None not in lag.ci95 else []
 
