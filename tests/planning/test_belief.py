@@ -23,6 +23,7 @@ from rotorfit.planning.belief import (
     levels_of,
     sample_vehicles,
 )
+from rotorfit.planning.next_flight import errors_after
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
 
 CARD = load_card("rotorfit-demo")
@@ -181,6 +182,12 @@ def test_errors_of_several_laws_are_those_of_the_intervals() -> None:
     assert errors(belief)["x.damping"] == pytest.approx(0.7 * x.predictor.damping)
     assert errors(belief)["y.delay"] == errors(belief_from_model(model, "m.json"))["y.delay"]
     assert "x: the model does not decide between laws" in belief.notes[0]
+
+    now, own = np.sqrt(np.diag(belief.covariance)), np.array([0.05, 0.03, 0.004])
+    np.testing.assert_allclose(belief.widening[:3], now[:3] / own)
+    np.testing.assert_array_equal(belief.widening[3:], 1.0)
+    after = errors_after(np.diag(1 / np.concatenate([own, now[3:]]) ** 2)[None], belief)
+    np.testing.assert_allclose(after, now / np.sqrt(2))  # as much more data narrow the intervals as those under one law
 
 
 def test_errors_of_a_richer_law_are_those_of_its_intervals_not_of_the_law_stored_beside_it() -> None:

@@ -76,6 +76,8 @@ class Belief:
         trim_sigma: Standard deviation of the trim about that of the likeliest [m/s^2; rad/s^2 for yaw].
         levels: Axis to the four levels of its disturbance as in the likelihood (`disturbance.LEVELS`), for the axes of
             a model; for the others they follow from the wind of `truth`.
+        widening: How many times as wide the intervals of a model are as under the law that is planned for, shape (12,);
+            not kept in a plan.
         source: Origin, for people.
         notes: Assumptions, one line each.
     """
@@ -84,6 +86,7 @@ class Belief:
     covariance: Array
     trim_sigma: Four
     levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    widening: Array = field(default_factory=lambda: np.ones(12))
     source: str = ""
     notes: tuple[str, ...] = ()
 
@@ -127,7 +130,7 @@ def _assembled(parts: Sequence[tuple[Array, Array, str]], source: str) -> Belief
     """A belief from input, damping and delay of each axis, their covariance and a note."""
     truth = with_coefficients(Truth(), np.concatenate([mean for mean, _, _ in parts]))
     notes = tuple(note for _, _, note in parts if note)
-    return Belief(truth, _blocks([covariance for _, covariance, _ in parts]), USUAL_TRIM, {}, source, notes)
+    return Belief(truth, _blocks([covariance for _, covariance, _ in parts]), USUAL_TRIM, source=source, notes=notes)
 
 
 def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
@@ -246,7 +249,7 @@ def belief_from_model(model: Model, where: str) -> Belief:
     if unsure:
         notes.append(
             f"{', '.join(unsure)}: the model does not decide between laws; errors before the flight are those of its "
-            "intervals, which cover all"
+            "intervals, which cover all, and after it those of the planned law, as many times as wide as they are now"
         )
     if levels:
         notes.append(f"noise and wind are those of the model's flights: {', '.join(map(air, levels))}")
@@ -266,7 +269,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
     )  # fmt: skip
     if rates:
         truth = replace(truth, pose_rate=min(max(rates[0], FEWEST_POSES), MOST_POSES), stale_share=0.0)
-    return _checked(Belief(truth, covariance, _four(sigma), levels, f"model {where}", tuple(notes)))
+    widening = _widening(model, covariance)
+    return _checked(Belief(truth, covariance, _four(sigma), levels, widening, f"model {where}", tuple(notes)))
 
 
 def _told_rate(rates: Sequence[float]) -> str:
@@ -314,6 +318,19 @@ def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
             out[at, at] = _as_its_intervals(model.axes[axis], law, values[at], np.abs(bound))
             continue
         out[at, at] = np.linalg.inv(np.linalg.inv(known) + np.diag(1 / bound**2))
+    return out
+
+
+def _widening(model: Model, covariance: Array) -> Array:
+    """`Belief.widening` of a model with the covariance of the belief about it, shape (12, 12)."""
+    out: Array = np.ones(12)
+    for a, axis in enumerate(AXES):
+        law = first_order(model, axis) if model.axes[axis].predictor and _beyond(model.axes[axis]) else None
+        if law is None or not {"input", "damping"} <= set(law.stderr):
+            continue
+        own = np.sqrt(np.diag(law.covariance))
+        at = slice(3 * a, 3 * a + own.size)
+        out[at] = np.maximum(np.sqrt(np.diag(covariance)[at]) / own, 1.0)
     return out
 
 

@@ -141,8 +141,13 @@ def worst_group(ratio: Array, commanded: Sequence[str]) -> tuple[str, ...]:
 
 
 def errors_after(information: Array, belief: Belief) -> Array:
-    """Standard errors of the twelve coefficients with a flight's `informations` added to the belief, shape (12,)."""
-    out = precision_of(information, inverse_of(belief.covariance))
+    """Standard errors of the twelve coefficients with a flight's `informations` added to the belief, shape (12,).
+
+    They stay as many times as wide as under the planned law as they are: what a model's intervals cover besides, other
+    laws above all, does not go away with more data under that law.
+    """
+    wider = np.outer(belief.widening, belief.widening)
+    out = precision_of(information / wider, inverse_of(belief.covariance))
     return np.array([out.stderr[axis][name] for axis in AXES for name in COEFFICIENTS])
 
 
