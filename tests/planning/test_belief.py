@@ -8,7 +8,7 @@ import pytest
 from models import VEHICLE, model_of, with_poses
 from rotorfit.core.card import Prior
 from rotorfit.core.errors import PlanError
-from rotorfit.core.model import Plain, weighed
+from rotorfit.core.model import COEFFICIENTS, Plain, weighed
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.planning.belief import (
     DELAY,
@@ -183,7 +183,7 @@ def test_errors_of_several_laws_are_those_of_the_intervals() -> None:
     assert errors(belief)["y.delay"] == errors(belief_from_model(model, "m.json"))["y.delay"]
     assert "x: the model does not decide between laws" in belief.notes[0]
 
-    now, own = np.sqrt(np.diag(belief.covariance)), np.array([0.05, 0.03, 0.004])
+    now, own = np.sqrt(np.diag(belief.covariance)), np.array([x.stderr[name] for name in COEFFICIENTS])
     np.testing.assert_allclose(belief.widening[:3], now[:3] / own)
     np.testing.assert_array_equal(belief.widening[3:], 1.0)
     after = errors_after(np.diag(1 / np.concatenate([own, now[3:]]) ** 2)[None], belief)
