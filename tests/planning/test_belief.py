@@ -186,7 +186,8 @@ def test_errors_of_several_laws_are_those_of_the_intervals() -> None:
     now, own = np.sqrt(np.diag(belief.covariance)), np.array([x.stderr[name] for name in COEFFICIENTS])
     np.testing.assert_allclose(belief.widening[:3], now[:3] / own)
     np.testing.assert_array_equal(belief.widening[3:], 1.0)
-    after = errors_after(np.diag(1 / np.concatenate([own, now[3:]]) ** 2)[None], belief)
+    under_one_law = np.linalg.inv(belief.covariance / np.outer(belief.widening, belief.widening))
+    after = errors_after(under_one_law[None], belief)
     np.testing.assert_allclose(after, now / np.sqrt(2))  # as much more data narrow the intervals as those under one law
 
 
