@@ -34,7 +34,7 @@ SAME_MAXIMUM = 0.3
 two flights ended there; of pairs 0.5 to 1 apart one did not."""
 
 FAR_ABOVE = 20.0
-"""Rise of the log-likelihood over the first-order law from which a law with a lag is sought from the usual levels, too:
+"""Rise of the log-likelihood over the first-order law from which a second order is sought from the usual levels, too:
 the levels of a law so far from true rank its starts wrongly."""
 
 Start = tuple[float, float, float, tuple[float, ...]]
@@ -133,7 +133,7 @@ def under_law(
         return estimate
     records, prior, start = estimate.records, prior_of((axis,), (structure,)), estimate.optimum.point
     top = _top(records, start, structure, prior, hopeless)
-    if structure.order and posterior(top) > estimate.optimum.score.log_likelihood + FAR_ABOVE:
+    if structure.order > 1 and posterior(top) > estimate.optimum.score.log_likelihood + FAR_ABOVE:
         usual = replace(start, levels=np.tile(start_levels(start.measured), (len(start.levels), 1)))
         top = max(top, _top(records, usual, structure, prior, hopeless), key=posterior)
     return replace(estimate, optimum=top)
