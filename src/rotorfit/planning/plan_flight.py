@@ -393,6 +393,7 @@ def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Prog
         raise PlanError(
             f"plan {chosen.plan.name}: no amplitude stays inside for 19 of 20 vehicles that are believed possible, "
             "even the hover drifts out or is too fast; give a larger box, a shorter duration or higher speed limits"
+            + ("" if chosen.plan.feedback else ", or let the feedback centre it (without --open-loop)")
         )
     if chosen.plan.design in HARD:
         notes = [HARD_NOTE, *notes]
