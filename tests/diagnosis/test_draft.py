@@ -204,8 +204,13 @@ def test_a_draft_knows_east_north_up(names: tuple, tmp_path: Path) -> None:
     assert card.frame == "ENU"
 
 
-def test_a_draft_knows_throttle_and_rudder_beside_sticks(tmp_path: Path) -> None:
-    names = {"cmd_x": "stick_fwd", "cmd_y": "stick_left", "cmd_z": "throttle", "cmd_yaw": "rudder"}
+@pytest.mark.parametrize(
+    ("z", "yaw"), [("throttle", "rudder"), ("stick_up", "stick_ccw"), ("stick_up", "stick_yaw_rate_cw")]
+)
+def test_a_draft_knows_throttle_and_rudder_beside_sticks_and_a_turn_by_its_sense(
+    z: str, yaw: str, tmp_path: Path
+) -> None:
+    names = {"cmd_x": "stick_fwd", "cmd_y": "stick_left", "cmd_z": z, "cmd_yaw": yaw}
 
     card = loaded(draft_card(csv_log(**names)), tmp_path)
     assert [card.command[axis].source for axis in ("x", "y", "z", "yaw")] == list(names.values())

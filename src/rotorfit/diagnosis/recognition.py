@@ -49,9 +49,9 @@ _SETPOINT = {axis: f"v_?{axis}|(?:velocity|vel|twist|linear)_{axis}|velocity_{i}
 
 _SETPOINT |= {"yaw": "yaw_?speed|yaw_?rate|r"}
 
-_YAW_RATE = "(?:yaw|turn)_?(?:rate|speed)|psi_?dot"
+_YAW_RATE = "(?:(?:yaw|turn)_?(?:rate|speed)|psi_?dot)(?:_c?cw)?"
 
-_TURN = f"yaw|turn|rot|rudder|psi|{_YAW_RATE}"
+_TURN = f"(?:yaw|turn|rot|rudder|psi)(?:_c?cw)?|c?cw|{_YAW_RATE}"
 
 _TURN_RATE = f"{_TURN}|r|w|wz|ang_?z|angular_z|omega_?z"
 
