@@ -230,8 +230,8 @@ def _responses(estimate: Estimate, terms: Sequence[_Term]) -> list[Array]:
         times = _times(rec)
         ends = np.cumsum([0, *(time.size for time in times)])
         driven = replace(rec, command_time=np.concatenate(times), command_range=np.stack([ends[:-1], ends[1:]], axis=1))
-        columns = [
-            response(replace(driven, command=one.added[j]), unit, j, point.start[at])[1][:, estimate.place]
+        columns = [  # a view would keep every sensitivity of every term
+            response(replace(driven, command=one.added[j]), unit, j, point.start[at])[1][:, estimate.place].copy()
             for one in terms
         ]
         rows = np.stack(columns, axis=1) if columns else np.zeros((len(rec.block_time), 0, K))
