@@ -1,5 +1,7 @@
 """How much wider an interval is for coloured or unequal innovations: nothing where they are as believed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,18 @@ def test_innovations_that_are_large_where_the_weights_are_widen() -> None:
     factor = widening([Weighted(one.time, one.innovation, weight, weight, np.zeros(1))], ["a"])["a"]
 
     assert factor == pytest.approx(1.7, rel=0.25)
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.001])
+def test_positions_and_velocities_of_one_moment_are_smoothed_over_the_same_time(apart: float) -> None:
+    rng, early = np.random.default_rng(4), np.arange(1800) < 450
+    weight = np.where(early, 1.0, 0.05)[:, None, None] * slow_weights(1800)
+    one = replace(seen(rng.standard_normal(1800) * np.where(early, 1.7, 0.6)), weight=weight, span=weight)
+    pairs = np.repeat(one.time[::2], 2) + np.tile([0.0, apart], 900)
+
+    found = widening([replace(one, time=pairs)], ["a"])["a"]
+    assert found == pytest.approx(widening([one], ["a"])["a"])
+    assert found > 1.3
 
 
 def test_a_ratio_counts_as_far_as_it_is_no_chance() -> None:

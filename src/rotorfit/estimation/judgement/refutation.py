@@ -253,7 +253,7 @@ def lack_of_fit(records: Sequence[Record], weighted: Sequence[Weighted], k: int)
     total, spread = np.zeros(distinct.shape[1]), np.zeros((distinct.shape[1],) * 2)
     for u, one in zip(past, weighted, strict=True):
         scores = (u @ distinct) * one.innovation[:, k][:, None]
-        lag = (int(4 * (len(scores) / 100) ** (2 / 9)) + 1) * float(np.median(np.diff(one.time)))
+        lag = (int(4 * (len(scores) / 100) ** (2 / 9)) + 1) * float(np.median(one.time[2:] - one.time[:-2])) / 2
         total += scores.sum(axis=0)
         spread += newey_west(one.time, scores - scores.mean(axis=0), lag)
     statistic = float(total @ np.linalg.solve(spread, total))

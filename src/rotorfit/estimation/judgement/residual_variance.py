@@ -180,7 +180,7 @@ def _spectral(one: Weighted) -> list[_Power]:
 
 def _temporal(one: Weighted) -> list[_Power]:
     """Power over the blocks of a flight, axis by axis, divided by its mean so that colour is not counted twice."""
-    step = float(np.median(np.diff(one.time)))
+    step = float(np.median(one.time[2:] - one.time[:-2])) / 2  # a position and a velocity may be of one moment
     reach, out = max(1, round(TIME_WINDOW / step)), []
     for k in range(one.innovation.shape[1]):
         square = one.innovation[:, k] ** 2
