@@ -237,7 +237,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
         laws = ", ".join(dict.fromkeys(richer.values()))
         notes.append(
             f"{', '.join(richer)}: planned for the first-order law with a delay, not for {laws}; errors before the "
-            "flight are those of the model's intervals"
+            "flight are those of the model's intervals, and after it those of the planned law, as many times as wide "
+            "as they are now"
         )
     refuted = [axis for axis in known if "refuted" in model.axes[axis].status.values()]
     if refuted:
