@@ -143,7 +143,7 @@ def worst_group(ratio: Array, commanded: Sequence[str]) -> tuple[str, ...]:
 def errors_after(information: Array, belief: Belief) -> Array:
     """Standard errors of the twelve coefficients with a flight's `informations` added to the belief, shape (12,).
 
-    They stay as many times as wide as under the planned law as they are: what a model's intervals cover besides, other
+    The ratio of the model's errors to those of the planned law stays as it is: what its intervals cover besides, other
     laws above all, does not go away with more data under that law.
     """
     wider = np.outer(belief.widening, belief.widening)

@@ -36,7 +36,7 @@ EXPECTED_HEADS = tuple(f"{name}{unit}" for name, unit in zip(COEFFICIENTS, UNITS
 UNDER_ONE_LAW = (
     "expected errors are those of `fit --structure first_order_delay`; the default fit weighs laws with a lag, too: "
     "its intervals of slow vehicles have been up to 6 times as wide for delays, twice for inputs; of those whose "
-    "damping is that of a velocity loop 3 to 80 times, or open (then steady gain and total lag are what is known)"
+    "damping is that of a velocity loop 3 to 300 times, or open (then steady gain and total lag are what is known)"
 )
 """Note below the expected errors of every plan."""
 
