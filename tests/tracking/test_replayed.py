@@ -115,3 +115,23 @@ def test_a_pose_that_jumps_is_told_and_no_motion_leads_across() -> None:
     assert told[0][2][0] <= 10.0 <= told[0][2][1]
     before = next(state for state in undisturbed.states if state.time == 14.0)
     assert track.states[-1].axes["x"].values["input"] == pytest.approx(before.axes["x"].values["input"], rel=0.1)
+
+
+def test_single_wild_poses_are_left_out_as_of_a_link_and_counted() -> None:
+    flight, track = known()
+    rng = np.random.default_rng(1)
+    at = rng.choice(np.arange(200, flight.pose_time.size - 200), 12, replace=False)
+    position = flight.position.copy()
+    position[at] += rng.normal(0.0, 1.5, (12, 3))
+    wild = tracked(replace(flight, position=position), LAW)
+    model = wild.regimes[0].model
+    assert model is not None
+
+    assert [note.count for note in model.flights[0].notes if note.code == "wild_poses"] == [12]
+    assert not any(state.alarms for state in wild.states)
+    for axis in flight.axes:
+        for name in COEFFICIENTS:
+            (low, high), value = track.states[-1].axes[axis].ci95[name], wild.states[-1].axes[axis].values[name]
+            assert low is not None
+            assert high is not None
+            assert value == pytest.approx(track.states[-1].axes[axis].values[name], abs=0.05 * (high - low))

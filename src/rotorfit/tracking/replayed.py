@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.flight_data import Flight, Note, Segment
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.tracked import Alarm, Track, Tracked
 from rotorfit.tracking.earlier import Earlier, check_earlier
+from rotorfit.tracking.flight_so_far import NOTES
 from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, Following
 from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.pose_watch import PoseWatch
@@ -47,26 +48,29 @@ def tracked(
     if earlier:
         check_earlier(earlier, flight.card)
     following, ground, states = Following(structure, false_alarms_per_hour, earlier, tuned), Ground(), []
-    watch, jumped, seen = PoseWatch(), list[Alarm](), 0.0
+    watch, jumped, wild, seen = PoseWatch(), list[Alarm](), set[float](), 0.0
     for part, now in growing(flight, following.next_look, GLANCE):
-        jumped += _watched(ground, watch, part, seen)
+        jumped += _watched(ground, watch, part, seen, wild)
         seen = now
-        if state := following.follow(_split(part, watch.jumps), now, ground.touches, tuple(jumped)):
+        learnt = _split(_without_poses(part, wild), watch.jumps)
+        if state := following.follow(learnt, now, ground.touches, tuple(jumped)):
             states.append(state)
             jumped = []
             on_state(states[-1])
         if stopped():
             flight = part
             break
-    last, regimes = following.finish(_split(flight, watch.jumps), flight.segments[-1].end, tuple(jumped))
+    learnt = _split(_without_poses(flight, wild), watch.jumps)
+    last, regimes = following.finish(learnt, flight.segments[-1].end, tuple(jumped))
     on_state(last)
     return Track((*states, last), regimes)
 
 
-def _watched(ground: Ground, watch: PoseWatch, part: Flight, since: float) -> list[Alarm]:
+def _watched(ground: Ground, watch: PoseWatch, part: Flight, since: float, wild: set[float]) -> list[Alarm]:
     """Feeds the commands and poses after an instant [s], in the order of their times; the alarms of poses that jumped.
 
-    Reading a log drops poses that repeat: they raise no alarm here.
+    Reading a log drops poses that repeat: they raise no alarm here. `wild` holds the times of the poses that do not
+    count so far, and is updated.
     """
     commands, poses = (int(np.searchsorted(t, since, side="right")) for t in (part.command_time, part.pose_time))
     sent = list(zip(part.command_time[commands:], part.command[commands:].tolist(), strict=True))
@@ -75,6 +79,9 @@ def _watched(ground: Ground, watch: PoseWatch, part: Flight, since: float) -> li
         while sent and sent[0][0] <= time:
             ground.command(*sent.pop(0))
         seen = watch.take(time, one, ground.stands)
+        if seen.left_out == "wild_poses":
+            wild.add(time)
+        wild.difference_update(at for at, _ in seen.believed)
         if seen.alarm and seen.alarm.cause == "pose_jumped":
             alarms.append(seen.alarm)
             ground.jumped(float(seen.believed[0][1][2]))
@@ -83,6 +90,22 @@ def _watched(ground: Ground, watch: PoseWatch, part: Flight, since: float) -> li
     for command in sent:
         ground.command(*command)
     return alarms
+
+
+def _without_poses(flight: Flight, times: set[float]) -> Flight:
+    """The flight without its poses at these times, which a note counts."""
+    if not times:
+        return flight
+    keep = ~np.isin(flight.pose_time, list(times))
+    count = int(np.sum(~keep))
+    note = Note("wild_poses", f"{count} {NOTES['wild_poses']}", count)
+    return replace(
+        flight,
+        pose_time=flight.pose_time[keep],
+        position=flight.position[keep],
+        yaw=flight.yaw[keep],
+        notes=(*flight.notes, note),
+    )
 
 
 def _split(flight: Flight, jumps: Sequence[float]) -> Flight:
