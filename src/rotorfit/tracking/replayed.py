@@ -96,14 +96,13 @@ def _without_poses(flight: Flight, times: set[float]) -> Flight:
     """The flight without its poses at these times, which a note counts."""
     if not times:
         return flight
-    keep = ~np.isin(flight.pose_time, list(times))
-    count = int(np.sum(~keep))
-    note = Note("wild_poses", f"{count} {NOTES['wild_poses']}", count)
+    at = np.searchsorted(flight.pose_time, sorted(times))
+    note = Note("wild_poses", f"{at.size} {NOTES['wild_poses']}", at.size)
     return replace(
         flight,
-        pose_time=flight.pose_time[keep],
-        position=flight.position[keep],
-        yaw=flight.yaw[keep],
+        pose_time=np.delete(flight.pose_time, at),
+        position=np.delete(flight.position, at, axis=0),
+        yaw=np.delete(flight.yaw, at),
         notes=(*flight.notes, note),
     )
 
