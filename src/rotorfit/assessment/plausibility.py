@@ -81,18 +81,25 @@ def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
     )
 
 
+def _speed_ratio(model: Model, axis: str) -> tuple[float, float, float] | None:
+    """Final speed over the one commanded, with the ends of its interval; None for tilts and where it is open."""
+    ratio = compared(model, axis).ratio
+    if meaning_of(model.card, axis).asked == "tilt" or ratio is None or ratio.value is None:
+        return None
+    low, high = ratio.ci95
+    return None if low is None or high is None else (ratio.value, low, high)
+
+
 def _above_command(model: Model, axis: str) -> Iterator[Finding]:
     """A final speed above the one commanded: a proportional loop stays below it, an integral part ends at it."""
-    ratio, meaning = compared(model, axis).ratio, meaning_of(model.card, axis)
-    if meaning.asked == "tilt" or ratio is None or ratio.value is None or None in ratio.ci95:
+    ratio = _speed_ratio(model, axis)
+    if ratio is None or not ABOVE < ratio[1] <= LIMIT_MARGIN:  # beyond that the card is in doubt
         return
-    low, high = (float(end) for end in ratio.ci95 if end is not None)
-    if not ABOVE < low <= LIMIT_MARGIN:  # beyond that the card is in doubt
-        return
+    value, low, high = ratio
     yield Finding(
         "final_speed_above_command",
         "warning",
-        f"the law of {axis} ends at {ratio.value:.3g} times what is commanded (95 %: {low:.3g} to {high:.3g}), where a "
+        f"the law of {axis} ends at {value:.3g} times what is commanded (95 %: {low:.3g} to {high:.3g}), where a "
         "velocity loop ends at it or below",
         f"final speed and slow motion of {axis} are extrapolated from short commands: a loop with an integral part "
         "overshoots, and then ends at what is commanded; motion like that flown is not concerned",
@@ -103,16 +110,14 @@ def _above_command(model: Model, axis: str) -> Iterator[Finding]:
 
 def _below_command(model: Model, axis: str) -> Iterator[Finding]:
     """A final speed below the one commanded in SI, which a loop with an integral part reaches later."""
-    ratio, meaning = compared(model, axis).ratio, meaning_of(model.card, axis)
-    if meaning.asked == "tilt" or meaning.limit or ratio is None or ratio.value is None or None in ratio.ci95:
+    ratio = None if meaning_of(model.card, axis).limit else _speed_ratio(model, axis)
+    if ratio is None or not 1 / LIMIT_MARGIN <= ratio[2] < 1 / ABOVE:  # below that the card is in doubt
         return
-    low, high = (float(end) for end in ratio.ci95 if end is not None)
-    if not 1 / LIMIT_MARGIN <= high < 1 / ABOVE:  # below that the card is in doubt
-        return
+    value, low, high = ratio
     yield Finding(
         "final_speed_below_command",
         "info",
-        f"the law of {axis} ends at {ratio.value:.3g} times what is commanded (95 %: {low:.3g} to {high:.3g})",
+        f"the law of {axis} ends at {value:.3g} times what is commanded (95 %: {low:.3g} to {high:.3g})",
         "little for a velocity loop without an integral part, which falls short by drag / (gain + drag); one with an "
         "integral part creeps up to what is commanded, over more seconds than commands lasted: then final speed and "
         f"total lag of {axis} are wrong for slow motion, and motion like that flown is not concerned",

@@ -36,7 +36,7 @@ FINDING_LEVEL = 0.001
 """p-value below which it is a finding: flights have several axes, and a finding must not come by chance."""
 
 LARGE = 0.05
-"""Share of the innovations' variance above which what follows past commands hides itself, see `_with_command`. Of 60
+"""Share of the innovations' variance above which what follows past commands hides itself, see `_as_noise`. Of 60
 axes of models of the same simulated vehicle one had more than 0.04, of 16 of another vehicle none less than 0.09."""
 
 BY_CHANCE = 6.0
@@ -99,12 +99,13 @@ def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogra
     """
     u = innovations.past - innovations.past.mean(axis=0)
     e = innovations.innovation - innovations.innovation.mean()
+    left = _as_noise(innovations, covariance)
     size = np.sqrt(float(e @ e) * np.sum(u**2, axis=0))
     value, band = np.zeros(size.size), np.zeros(size.size)
     told = np.flatnonzero(size > 0)
     for first in range(0, told.size, TOGETHER):
         some = told[first : first + TOGETHER]
-        total, spread = _with_command(innovations, u[:, some], covariance)
+        total, spread = _with_command(innovations, u[:, some], covariance, left)
         value[some], band[some] = total / size[some], NORMAL * np.sqrt(np.diag(spread)) / size[some]
     lag = _step(innovations.time) * np.arange(1, size.size + 1)
     return Correlogram(np.asarray(lag, float), value, band)
@@ -177,34 +178,53 @@ def _with_own(innovations: Innovations) -> tuple[float | None, dict[str, float]]
 
 def _independence(innovations: Innovations, covariance: Array) -> tuple[float | None, int]:
     """p-value of no correlation with any of the past commands jointly, and how many of these are independent."""
-    every = max(1, round(COMMAND_EVERY / _step(innovations.time)))
-    u = innovations.past[:, ::every] - innovations.past[:, ::every].mean(axis=0)
-    size, directions = np.linalg.eigh(u.T @ u)
-    if size[-1] <= 0:
+    u = _distinct(innovations)
+    if not u.size:
         return None, 0
-    distinct = u @ directions[:, size > DISTINCT * size[-1]]
-    total, spread = _with_command(innovations, distinct, covariance)
+    total, spread = _with_command(innovations, u, covariance, _as_noise(innovations, covariance))
     return _chi_squared(float(total @ np.linalg.solve(spread, total)), total.size), total.size
 
 
-def _with_command(innovations: Innovations, u: Array, covariance: Array) -> tuple[Array, Array]:
+def _distinct(innovations: Innovations) -> Array:
+    """Combinations of past commands that are no copies of each other, shape (B, m)."""
+    every = max(1, round(COMMAND_EVERY / _step(innovations.time)))
+    u = innovations.past[:, ::every] - innovations.past[:, ::every].mean(axis=0)
+    size, directions = np.linalg.eigh(u.T @ u)
+    return np.asarray(u @ directions[:, (size > 0) & (size > DISTINCT * size[-1])])
+
+
+def _as_noise(innovations: Innovations, covariance: Array) -> Array:
+    """The innovations as they count in the covariance of their products with commands, shape (B,).
+
+    Where they follow past commands widely, also with the parameters moved within their uncertainty, it is what these
+    commands leave of them: else their own products would make any correlation plausible.
+    """
+    e, u, S = innovations.innovation - innovations.innovation.mean(), _distinct(innovations), innovations.sensitivity
+    n, m = u.shape
+    moved = e - S @ covariance @ np.linalg.solve(np.eye(len(covariance)) + S.T @ S @ covariance, S.T @ e)
+    large = max(LARGE, BY_CHANCE * np.sqrt(2 * m) / n)
+    return _left(u, e) if m and _share(u, moved) > large else e
+
+
+def _with_command(innovations: Innovations, u: Array, covariance: Array, left: Array) -> tuple[Array, Array]:
     """Products of innovations and past commands (B, m), summed, and the covariance of the sums.
 
-    The covariance includes the uncertainty of the model's own parameters. Innovations that follow commands widely, also
-    with the parameters moved within their uncertainty, are counted in it only by what the commands leave of them: else
-    their own products would make any correlation plausible.
+    The covariance includes the uncertainty of the model's own parameters.
+
+    Args:
+        innovations: Innovations of one axis.
+        u: Past commands, without their means, shape (B, m).
+        covariance: Covariance of the parameters, as for `residual_tests`.
+        left: From `_as_noise`.
 
     Source: lags of the kernel by W. K. Newey, K. D. West, Rev. Econ. Stud. 61 (1994), pp. 631-653: 4 (B / 100)^(2/9).
     """
-    e = innovations.innovation - innovations.innovation.mean()
-    S, (n, m) = innovations.sensitivity, u.shape
-    moved = e - S @ covariance @ np.linalg.solve(np.eye(len(covariance)) + S.T @ S @ covariance, S.T @ e)
-    large = max(LARGE, BY_CHANCE * np.sqrt(2 * m) / n)
-    scores = u * (_left(u, e) if _share(u, moved) > large else e)[:, None]
+    scores = u * left[:, None]
     lag = (int(4 * (len(scores) / 100) ** (2 / 9)) + 1) * _step(innovations.time)
-    through = u.T @ S
+    through = u.T @ innovations.sensitivity
     spread = newey_west(innovations.time, scores - scores.mean(axis=0), lag)
-    return u.T @ e, spread + through @ covariance @ through.T
+    total = u.T @ (innovations.innovation - innovations.innovation.mean())
+    return total, spread + through @ covariance @ through.T
 
 
 def _share(u: Array, e: Array) -> float:
@@ -215,6 +235,7 @@ def _share(u: Array, e: Array) -> float:
 
 
 def _left(u: Array, e: Array) -> Array:
+    """What the commands u (n, m) leave of e (n,)."""
     return np.asarray(e - u @ np.linalg.lstsq(u, e)[0])
 
 
