@@ -10,11 +10,15 @@ from rotorfit.core.model import Interval
 from rotorfit.core.results import student_quantile
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
-from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, level_share
+from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, inverted, level_share
 from rotorfit.estimation.likelihood.parameters import Point
 
 NOT_WALKED = 0.1
 """Expected gain in log-likelihood at which a re-maximisation stops; the gain is then added to the objective."""
+
+
+STEEPEST = 1.5
+"""Largest change of the logarithm of a gain by which a step along a valley moves it."""
 
 
 def hold(
@@ -23,7 +27,8 @@ def hold(
     """Re-maximises over all other free parameters with one parameter held at a target.
 
     The start is the linear prediction of the other parameters from the information, with the information conditional on
-    the held parameter.
+    the held parameter. From a neighbouring target it follows the valley, with gains by their logarithms. From the
+    maximum itself it goes straight: further off the valley the climb finds other maxima more often.
 
     Args:
         records: The flights.
@@ -35,16 +40,38 @@ def hold(
     free = optimum.free.copy()
     free[index] = False
     point, inverse = optimum.point, optimum.inverse.copy()
+    distance = target - float(point.flat()[index])
     if inverse[index, index] > 0:
         along = inverse[:, index] / inverse[index, index]
-        point = point.moved(along * (target - point.flat()[index]))
         inverse = inverse - np.outer(along, inverse[index])
-    point = point.held_at(index, target)
+        step = distance * along
+    else:
+        moving = np.diag(inverse) > 0
+        moving[index] = True
+        together = inverted(optimum.score.information, moving)[:, index]
+        step = _in_valley(point, distance * together / together[index], index)
+    point = point.moved(step).held_at(index, target)
     inverse[index, :] = inverse[:, index] = 0.0
     linear = optimum.score.linear
     return maximise(
         records, point, free, inverse, optimum.restricted, tolerance=tolerance, prior=optimum.prior, linear=linear
     )
+
+
+def _in_valley(point: Point, step: Array, index: int) -> Array:
+    """A step with gains by their logarithms: flights determine best the ratio of gain and damping.
+
+    Args:
+        point: Where it starts.
+        step: In the order of `Point.flat`.
+        index: Index of the parameter that it moves as far as it does.
+    """
+    gain, moved = point.gain, step.copy()
+    if index < gain.size and gain[index] * (gain[index] + step[index]) > 0:
+        moved *= gain[index] / step[index] * np.log1p(step[index] / gain[index]) if step[index] else 1.0
+    share = np.divide(moved[: gain.size], gain, out=np.zeros_like(gain), where=gain != 0)
+    moved[: gain.size] = gain * np.expm1(np.clip(share, -STEEPEST, STEEPEST))
+    return moved
 
 
 def height(optimum: Optimum) -> float:
@@ -194,6 +221,8 @@ def _crossing(
     by re-maximising from the inner end: after a long step the maximisation may have missed the maximum. If it is not
     confirmed, the search continues from there.
     """
+    if best == bound:
+        return None
     end, inside, outside = _walk(root, best, best, guess, bound, reach)
     if end is not None or outside is None:
         return end
@@ -209,13 +238,14 @@ def _walk(
 ) -> tuple[float | None, float, float | None]:
     """Where the root of the fall equals `reach`, or None; and the bracket around it, with None for no outer end.
 
-    The root is nearly linear where the likelihood is nearly quadratic: steps outwards scale with it, and a bracket is
-    divided where the line between its ends crosses. Where that leaves more than half of it, as where the root is flat
-    beyond the end, it is bisected next. Where the profile jumps from one maximum to another, the bracket becomes narrow
-    without an end in it.
+    The root is nearly linear where the likelihood is nearly quadratic: steps outwards follow its last slope, and a
+    bracket is divided where the line between its ends crosses. Where that leaves more than half of it, as where the
+    root is flat beyond the end, it is bisected next. Where the profile jumps from one maximum to another, the bracket
+    becomes narrow without an end in it.
     """
     outside: float | None = None
     below, above, width = -reach, 0.0, np.inf
+    last = best, -reach
     for _ in range(12):
         target = min(target, bound) if bound > best else max(target, bound)
         off = root(target) - reach
@@ -228,7 +258,10 @@ def _walk(
         else:
             inside, below = target, off
         if outside is None:
-            target = best + (target - best) * min(reach / max(off + reach, 1e-6), FURTHER)
+            slope, last = (off - last[1]) / (target - last[0]), (target, off)
+            longest = (FURTHER - 1) * (target - best)
+            step = -off / slope if slope * longest > 0 else longest
+            target += step if abs(step) < abs(longest) else longest
             continue
         before, width = width, abs(outside - inside)
         if width < NARROW * abs(outside - best):
