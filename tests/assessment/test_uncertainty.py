@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from flights import fit_as_flown, flown, steps
 from rotorfit.app.cli import main
-from rotorfit.assessment.law_findings import disagreement_findings
+from rotorfit.assessment.flight_differences import disagreement_findings
 from rotorfit.assessment.uncertainty import observed_covariance, sandwich_covariance, scatter, with_uncertainty
 from rotorfit.core.accuracy import Uncertainty
 from rotorfit.core.flight_data import Flight

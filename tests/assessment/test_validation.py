@@ -325,7 +325,7 @@ def test_beyond_a_second_commands_that_answer_the_motion_are_told_to_reveal_the_
 # A flight that was read with another card
 
 
-@pytest.mark.parametrize(("factor", "told"), [(-1.0, "the sign"), (100.0, "per cent"), (1.0, "")])
+@pytest.mark.parametrize(("factor", "told"), [(-1.0, "scale = -1 for this flight"), (100.0, "per cent"), (1.0, "")])
 def test_commands_of_another_sign_or_unit_are_the_cards_and_not_the_models(factor: float, told: str) -> None:
     flight, k = flight_of(), AXES.index("y")
     command = flight.command.copy()

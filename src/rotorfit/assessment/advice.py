@@ -10,22 +10,24 @@ from pathlib import Path
 import numpy as np
 
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
+from rotorfit.assessment.flight_differences import disagreement_findings, turned_findings
 from rotorfit.assessment.frequency.loop import seem_to_answer
 from rotorfit.assessment.law_findings import (
     contradicted,
-    disagreement_findings,
     law_findings,
     with_size,
 )
+from rotorfit.assessment.mismatch import findings_of_left_out
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings
+from rotorfit.assessment.summary import is_told
 from rotorfit.assessment.tilt_limit import findings_of_tilt
 from rotorfit.core.finding import OTHER_STAMPS, WRONG_FRAME, Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes, with_frozen
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Axis, Weighed, first_order_beside, with_findings
+from rotorfit.core.model import Axis, Combination, Weighed, first_order_beside, with_findings
 from rotorfit.core.results import Fit
 from rotorfit.diagnosis.command_checks import share_above
 from rotorfit.diagnosis.doctor import SHORT_TIME
@@ -197,6 +199,9 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
     found += disagreement_findings(fit)
+    found += turned_findings(fit)
+    for flight in fit.flights:
+        found += findings_of_left_out(fit.model, flight) if flight.held else ()
     still = frozen_axes(told)
     return by_gravity(one for one in found if one in told or one.axis not in still)  # its remedies would be wrong
 
@@ -339,9 +344,9 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
             name,
         )
     elif axis.status["input"] == "not_identifiable":
-        gain, (low, high) = axis.combinations.get("steady_gain"), axis.ci95["input"]
+        gain, (low, high) = _told(axis, "steady_gain"), axis.ci95["input"]
         wide = None not in (low, high) and statuses(axis.ci95)["input"] != "ok"
-        use = "use the steady gain with the total lag, or " * bool(gain and "total_lag" in axis.combinations)
+        use = "use the steady gain with the total lag, or " * bool(gain and _told(axis, "total_lag"))
         yield Finding(
             "input_not_identifiable",
             "info",
@@ -363,14 +368,20 @@ def _clocked(axis: Axis) -> bool:
     return "offset_plus_delay" in axis.combinations
 
 
+def _told(axis: Axis, name: str) -> Combination | None:
+    """A combination of the axis that the summary tells, too; else None."""
+    part = axis.combinations.get(name)
+    return part if part and is_told(name, part) else None
+
+
 def _known_beside(name: str, axis: Axis) -> str:
     """What is known of an axis whose damping is not, as a clause."""
-    gain, lag = axis.combinations.get("steady_gain"), axis.combinations.get("total_lag")
-    if gain and lag and None not in (*gain.ci95, *lag.ci95):
+    gain, lag = (_told(axis, part) for part in ("steady_gain", "total_lag"))
+    if gain and lag:
         return f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
     if axis.status["input"] == "ok":
         return f"the input gain of {name} is known, its damping is not"
-    if gain and None not in gain.ci95:
+    if gain:
         return f"what is known of {name} is the steady gain {gain.value:.3g}"
     return f"neither the input gain of {name} nor its damping is known"
 

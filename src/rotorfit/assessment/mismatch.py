@@ -36,8 +36,27 @@ def findings_of_mismatch(model: Model, flight: Flight) -> Iterator[Finding]:
     """Errors of the data of a flight, and axes that respond backwards or by several times what the model says."""
     wrong = [finding for finding in flight.findings if finding.severity == "error"]
     yield from (replace(each, evidence=f"{each.evidence} ({flight.path})") for each in wrong)
-    if not wrong:
-        yield from _ratios(model, flight)
+    if wrong:
+        return
+    for axis, ratio, explained in _ratios(model, beginning(flight)):
+        if (ratio < -BACKWARDS and explained > MOSTLY) or (ratio > 0 and not 1 / ALIKE < ratio < ALIKE):
+            yield _finding(axis, model, flight, ratio)
+
+
+def findings_of_left_out(model: Model, flight: Flight) -> Iterator[Finding]:
+    """Axes that a flight of the fit only seems to hold, as its commands are in another unit than those of the others.
+
+    Args:
+        model: The fitted model.
+        flight: A flight of the fit; the axes that were taken from it are looked at.
+    """
+    for axis, ratio, explained in _ratios(model, beginning(replace(flight, axes=flight.held))):
+        if explained > MOSTLY and ratio > ALIKE:
+            yield replace(
+                _finding(axis, model, flight, ratio),
+                effect=f"{axis} was not fitted to this flight, whose commands are small beside those of another one: the "
+                "coefficients are per unit of that one",
+            )
 
 
 def beginning(flight: Flight) -> Flight:
@@ -46,8 +65,8 @@ def beginning(flight: Flight) -> Flight:
     return flight if end - start <= LOOKED else between(flight, start, start + LOOKED)
 
 
-def _ratios(model: Model, flight: Flight) -> Iterator[Finding]:
-    flight = beginning(flight)
+def _ratios(model: Model, flight: Flight) -> Iterator[tuple[str, float, float]]:
+    """Of each axis that answers: the ratio of its velocity to the model's, and the share of its variance explained."""
     motion = motion_from_flight(flight)
     if len(motion.time) < LEAST_POSES:
         return
@@ -63,10 +82,7 @@ def _ratios(model: Model, flight: Flight) -> Iterator[Finding]:
         along, size = float(seen @ expected), float(expected @ expected)
         if size == 0 or along**2 <= EXPLAINED * size * float(seen @ seen):  # equal where a coordinate stands still
             continue
-        ratio, explained = along / size, along**2 / (size * float(seen @ seen))
-        backwards = ratio < -BACKWARDS and explained > MOSTLY
-        if backwards or (ratio > 0 and not 1 / ALIKE < ratio < ALIKE):
-            yield _finding(axis, flight, ratio)
+        yield axis, along / size, along**2 / (size * float(seen @ seen))
 
 
 def _response(model: Model, flight: Flight, axis: str, time: Array) -> Array:
@@ -79,8 +95,14 @@ def _response(model: Model, flight: Flight, axis: str, time: Array) -> Array:
     return np.asarray(point.input / damping * np.interp(time - point.delay, grid, smooth))
 
 
-def _finding(axis: str, flight: Flight, ratio: float) -> Finding:
+def _finding(axis: str, model: Model, flight: Flight, ratio: float) -> Finding:
     backwards = ratio < 0
+    own, fitted = (card.command[axis].scale if axis in card.command else 1.0 for card in (flight.card, model.card))
+    sign = (
+        f"give {axis} in [command] scale = {-own:g} for this flight: its log has the other sign than those of the fit"
+        if own * fitted > 0
+        else f"give the {axis} channel of [command] the sign that it has in the card of the fit"
+    )
     way = ", backwards" if backwards else ""
     return Finding(
         "card_differs",
@@ -88,7 +110,7 @@ def _finding(axis: str, flight: Flight, ratio: float) -> Finding:
         f"{axis} moves {ratio:+.3g} times what the model says of its commands{way} ({flight.path})",
         f"the scores of {axis} do not judge the model: this flight was read with another meaning of its commands or "
         "poses than those of the fit, or is of another vehicle",
-        f"give the {axis} channel of [command] the sign that it has in the card of the fit"
+        sign
         if backwards
         else f"compare units and scales of {axis} in [command] and [pose] with those of the card of the fit: per cent, "
         "degrees, cm and mm differ by 100, 57.3, 100 and 1000",
