@@ -300,19 +300,30 @@ def test_a_clock_of_all_rows_comes_before_that_of_one_sensor(tmp_path: Path) -> 
     assert (card.command_time.source, card.pose_time.source) == ("t", "t")
 
 
-@pytest.mark.parametrize("word", ["pose.", ""])
-def test_rows_of_poses_and_of_commands_have_clocks_of_their_own(word: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("word", "sent", "taken"),
+    [
+        ("pose.", "cmd.stamp", "pose.stamp"),
+        ("", "cmd.stamp", "pose.stamp"),
+        ("", "t_cmd", "t"),
+        ("", "time_sent", "time"),
+        ("", "t", "t_pose"),
+    ],
+)
+def test_rows_of_poses_and_of_commands_have_clocks_of_their_own(
+    word: str, sent: str, taken: str, tmp_path: Path
+) -> None:
     """As of JSON Lines of two kinds: each row is blank where the other's columns are."""
     true, fine = turning(), np.arange(0.01, T[-1], 0.05)
-    told = {f"cmd.{axis}": np.interp(fine, T, COMMAND[axis]) for axis in ("x", "y", "z", "yaw")} | {"cmd.stamp": fine}
-    seen = {f"{word}{axis}": true[axis] for axis in ("x", "y", "z", "yaw")} | {"pose.stamp": T}
+    told = {f"cmd.{axis}": np.interp(fine, T, COMMAND[axis]) for axis in ("x", "y", "z", "yaw")} | {sent: fine}
+    seen = {f"{word}{axis}": true[axis] for axis in ("x", "y", "z", "yaw")} | {taken: T}
     place = np.argsort(np.concatenate([fine, T]), kind="stable")
     columns = {name: np.concatenate([one, np.full(T.size, np.nan)])[place] for name, one in told.items()}
     columns |= {name: np.concatenate([np.full(fine.size, np.nan), one])[place] for name, one in seen.items()}
 
     card = loaded(draft_card(log := log_of(flight=columns)), tmp_path)
 
-    assert (card.command_time.source, card.pose_time.source) == ("cmd.stamp", "pose.stamp")
+    assert (card.command_time.source, card.pose_time.source) == (sent, taken)
     assert flight_from_log(log, card).duration == pytest.approx(T[-1], abs=0.2)
 
 

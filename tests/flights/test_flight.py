@@ -662,6 +662,7 @@ def without(table: dict, **changes: object) -> dict:
         ),
         (commands(), without(poses(), x=np.full(1200, np.nan)), "(x always missing)"),
         ({name: np.full(200, np.nan) for name in commands()}, poses(), "no command is complete"),
+        (without(commands(), t=np.full(200, np.nan)), poses(), "none of 200 commands has a stamp"),
         (without(commands(), t=commands()["t"][::-1]), poses(), "commands runs backwards"),
         (commands(), without(poses(), t=poses()["t"][::-1]), "poses runs backwards"),
         (commands(), without(poses(), t=np.r_[900.0, 900.01, poses()["t"][2:]]), "poses runs backwards"),

@@ -54,8 +54,8 @@ def findings_of_left_out(model: Model, flight: Flight) -> Iterator[Finding]:
         if explained > MOSTLY and ratio > ALIKE:
             yield replace(
                 _finding(axis, model, flight, ratio),
-                effect=f"{axis} was not fitted to this flight, whose commands are small beside those of another one: the "
-                "coefficients are per unit of that one",
+                effect=f"{axis} was not fitted to this flight, whose commands are small beside those of another one: "
+                "the coefficients are per unit of that one",
             )
 
 

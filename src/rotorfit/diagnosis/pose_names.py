@@ -13,7 +13,7 @@ _WHERE = (
     "body|stabilizer|kalman_state(?!_p))_?)*"  # kalman.statePX is a velocity
 )
 
-_AT = f"{_WHERE}(?:position|pos|p)_?"
+_AT = f"{_WHERE}(?:position|pose|pos|p)_?"
 
 _POS = "_?(?:pos|position)"
 

@@ -51,13 +51,13 @@ _SETPOINT |= {"yaw": "yaw_?speed|yaw_?rate|r"}
 
 _YAW_RATE = "(?:(?:yaw|turn)_?(?:rate|speed)|psi_?dot)(?:_c?cw)?"
 
-_TURN = f"(?:yaw|turn|rot|rudder|psi)(?:_c?cw)?|c?cw|{_YAW_RATE}"
+_TURN = f"(?:yaw|turn|rot|rud(?:der)?|psi)(?:_c?cw)?|c?cw|{_YAW_RATE}"
 
 _TURN_RATE = f"{_TURN}|r|w|wz|ang_?z|angular_z|omega_?z"
 
 _FORWARD, _LEFT, _UP = (
-    "lin_?x|linear_x|vf|pitch|theta|forward|fwd",
-    "lin_?y|linear_y|vl|roll|phi|left|right",
+    "lin_?x|linear_x|vf|pitch|theta|forward|fwd|ele(?:vator)?",
+    "lin_?y|linear_y|vl|roll|phi|left|right|ail(?:eron)?",
     "lin_?z|linear_z|ve|climb|up|throttle|thrust|thr|gaz",
 )
 
@@ -81,16 +81,19 @@ _Y_UP = {"x": "z", "y": "x", "z": "y", "qw": "qw", "qx": "qz", "qy": "qx", "qz":
 
 _STATE = "(?:(?:twist|state|estimate|odom|drone|body|world|local|onboard|mocap|vicon|optitrack|velocity)_?)*"
 
+_IN_FRAME = "(?:_(?:b|body|w|world))?"
+
 _VELOCITIES = (
     {
         axis: f"{_STATE}(?:v_?g?_?({axis})|(?:vel|velocity|speed|linear|lin)_?({axis})|(?:vel|velocity)_({i}))"
+        + _IN_FRAME
         for i, axis in enumerate("xyz")
     },
     {"x": "v_?(n)|vel_?(north)", "y": "v_?(e)|vel_?(east)", "z": "v_?(d)|vel_?(down)"},
     {"x": "v(f)", "y": "v(l)", "z": "v(e|u)"},  # forward, left, up
 )
 
-_OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
+_OF_THE_BODY = "body|_b$|(?:^|_)(?:twist_twist|lin_?x|vf)"
 
 _REFERENCE = {axis: f"{_GOAL}_?{axis}|{axis}_?{_GOAL}" for axis in AXES}
 

@@ -305,7 +305,11 @@ _CLOCKS = (
     *("clock", "sec_of_day", "seconds_of_day", "time_of_day"),
 )
 
-_CLOCK_OF_SOMETHING = re.compile("(.+)_(?:time|stamp|timestamp|time_stamp)")
+_CLOCK = "(?:time|stamp|timestamp|time_stamp)"
+
+_STAMPED = "(?:cmds?|commands?|poses?|mocap|control|sent|send|recv|received|rx|tx)"
+
+_CLOCK_OF_SOMETHING = re.compile(f"(.+)_{_CLOCK}|(?:t|{_CLOCK})_{_STAMPED}")
 
 _PER_SECOND = {None: 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 

@@ -286,6 +286,12 @@ def numbers(stream: Stream, log: Log) -> Stream:
         FlightError: No sample is left.
     """
     stamped = stream.stamps != MISSING_STAMP
+    complete = np.all(np.abs(stream.values) <= LARGEST, axis=1)
+    if np.any(complete) and not np.any(complete & stamped):
+        raise FlightError(
+            f"{log.path}: none of {np.sum(complete)} {stream.what}s has a stamp; check time in [{stream.what}] of the "
+            "card"
+        )
     stream = keep_samples(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
     finite = np.abs(stream.values) <= LARGEST
     if not np.any(np.all(finite, axis=1)):
