@@ -9,7 +9,8 @@ import pytest
 
 from flights import fit_as_flown, flown, muddled, steps
 from rotorfit.app.workflows import fit_logs
-from rotorfit.assessment.advice import findings_of_fit, too_early
+from rotorfit.assessment.advice import findings_of_fit
+from rotorfit.assessment.coefficient_findings import too_early
 from rotorfit.assessment.law_findings import law_findings, with_size
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.errors import ModelError
@@ -258,6 +259,9 @@ def test_a_gain_known_to_no_better_than_a_fifth_is_weakly_excited() -> None:
     weak = changed(well(), stderr={**axis.stderr, "input": 0.3 * axis.input})
 
     assert "30 %" in found(weak)["weak_excitation", "z"].evidence
+    traded = found(changed(weak, extra={"lag": 0.2}))
+    assert ("weak_excitation", "z") not in traded
+    assert "known to 30 % only, its steady gain within" in traded["parts_trade_off", "z"].evidence
 
 
 def test_what_the_fit_says_better_is_not_repeated_and_what_only_the_flight_says_stays() -> None:
