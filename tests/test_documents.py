@@ -19,7 +19,7 @@ from mypy import api as mypy
 
 import rotorfit
 from rotorfit.app.cli import main
-from rotorfit.assessment import advice, plausibility, whiteness
+from rotorfit.assessment import advice, coefficient_findings, plausibility, whiteness
 from rotorfit.core.frames import AXES, UNIT_SCALE
 from rotorfit.diagnosis import clock_checks, command_checks, doctor, frame_checks, motion_checks, pose_checks
 from rotorfit.dynamics import protocol as forecast
@@ -319,7 +319,7 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
         f"more than a factor of {WIDEST_DAMPING:g} apart; of the input gain, a factor of {WIDEST_INPUT:g}",
         f"is wider than {WIDEST_DELAY:g} s or open",
         f"spans more than a factor of {WIDEST_DAMPING:g}",
-        f"more than {100 * advice.WEAK_GAIN:g} % of it",
+        f"more than {100 * coefficient_findings.WEAK_GAIN:g} % of it",
         f"above {plausibility.LIMIT_MARGIN:g} times, or below 1 / {plausibility.LIMIT_MARGIN:g} times",
         f"beyond {plausibility.GAIN_SYMMETRY:g}, or that of their dampings beyond {plausibility.DAMPING_SYMMETRY:g}",
         f"more than a factor of {plausibility.ALIKE:g} outside",
