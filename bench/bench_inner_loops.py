@@ -81,7 +81,7 @@ def main() -> None:
             for axis in fit([flown(vehicle, seed, asked.turn, asked.gust)], axes=("x", "y")).model.axes.values()
             if axis.predictor
         ]
-        told = sum(any(one.test == "order" for one in axis.evidence) for axis in axes)
+        told = sum(any(one.test in ("order", "twice") for one in axis.evidence) for axis in axes)
         inner = f"{vehicle.frequency:g} rad/s" if vehicle.frequency else f"{vehicle.one_lag:g} s"
         for name, truth in vehicle.truths.items():
             loop = f"{vehicle.gain}" if vehicle.loop else f"{vehicle.gain}, {vehicle.drag}"

@@ -325,6 +325,15 @@ def test_a_law_that_was_chosen_among_all_is_not_advised_again() -> None:
             assert ("fit with --structure auto" in told.remedy) == (not candidates)
 
 
+def test_no_structure_is_advised_where_none_has_a_lag_that_commands_pass_twice() -> None:
+    twice = Evidence("twice", "a law under which commands pass the lag twice is likelier", 1e-4, {"total_lag": 0.1})
+    axis = well().model.axes["z"]
+
+    for status in ({}, dict.fromkeys(axis.status, "refuted")):
+        (told,) = law_findings("z", replace(axis, evidence=(twice,), status=status))
+        assert "--structure" not in told.remedy
+
+
 def test_where_small_and_large_commands_disagree_smaller_ones_are_advised() -> None:
     size, speed = (Evidence(test, "they do not agree", 1e-4, {"input": 0.1}, False) for test in ("size", "speed"))
     axis = well().model.axes["z"]

@@ -174,6 +174,16 @@ def test_axes_of_which_the_same_is_known_share_a_sentence() -> None:
     assert "Known of y and z: input gain and damping; delay is refuted: the flights deny the law." in found
 
 
+def test_of_a_refuted_law_what_is_known_in_spite_of_it_is_told() -> None:
+    narrow = {"steady_gain": Combination(0.9, (0.8, 1.0)), "total_lag": Combination(0.5, (0.4, 0.6))}
+    found = summary_of_model(model({"x": axis(narrow, input="refuted", damping="refuted")}))
+
+    assert (
+        "input gain and damping are refuted: the flights deny the law; steady gain 0.90 (0.80 to 1.00) is known."
+        in found
+    )
+
+
 def test_a_wrong_frame_of_the_plane_is_the_reason_and_spoils_nothing_else() -> None:
     exchanged = replace(finding("error", None), code="axes_exchanged")
 

@@ -28,9 +28,6 @@ LASTING = (
 )
 """Remedy where commands that last are answered otherwise than short ones."""
 
-NO_STRUCTURE = ("order", "slow", "size", "bound", "jerk")
-"""Tests of what none of the structures has."""
-
 
 def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Finding]:
     """Findings of the tests of an axis's law, and of the choice among laws.
@@ -96,7 +93,7 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
 def _law(axis: Axis) -> str:
     """The law to fit next: the one that has what is missing, if it is known; empty where none of the structures has."""
     tests = {one.test for one in axis.evidence}
-    return "quadratic_drag" if "drag" in tests else "" if tests.intersection(NO_STRUCTURE) else "auto"
+    return "quadratic_drag" if "drag" in tests else "" if "twice" in tests else "auto"
 
 
 def _flights(axis: Axis, otherwise: str) -> str:

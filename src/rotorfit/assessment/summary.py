@@ -2,13 +2,15 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+
 from rotorfit.core.display import interval_text, number_text
 from rotorfit.core.finding import WRONG_FRAME, WRONG_PLANE, Finding, told_together
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import given_by_law
 from rotorfit.core.model import COEFFICIENTS, FROZEN, Axis, Combination, Model
 from rotorfit.core.plain import listed
-from rotorfit.estimation.identifiability import WIDEST_INPUT
+from rotorfit.estimation.identifiability import TOLERABLE, WIDEST_INPUT
 from rotorfit.estimation.methods import label_of
 
 _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
@@ -93,19 +95,20 @@ def _partly_known(known: Axis, usable: bool) -> str:
     lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] not in ("ok", "refuted")]
     refuted = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "refuted"]
     head = f"Known of {{}}: {listed(good)}; " if good else "Of {}, "
-    if refuted:
-        head += f"{listed(refuted)} {'is' if len(refuted) == 1 else 'are'} refuted: the flights deny the law"
-        if not lost:
-            return f"{head}."
-        head += "; "
-    elif not lost:
-        return f"{head}its law has no {listed([_NAMES[name] for name in given])}."
     combined = [
         f"{name.replace('_', ' ')} {_range(part)}"
         for name, part in known.combinations.items()
-        if usable and is_told(name, part)
+        if usable and is_told(name, part) and not (refuted and _may_be_refuted(name, part))
     ]
-    instead = f", but {listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
+    are = "is" if len(combined) == 1 else "are"
+    if refuted:
+        head += f"{listed(refuted)} {'is' if len(refuted) == 1 else 'are'} refuted: the flights deny the law"
+        if not lost:
+            return f"{head}; {listed(combined)} {are} known." if combined else f"{head}."
+        head += "; "
+    elif not lost:
+        return f"{head}its law has no {listed([_NAMES[name] for name in given])}."
+    instead = f", but {listed(combined)} {are}" if combined else ""
     return f"{head}{listed(lost)} cannot be identified from these data{instead}."
 
 
@@ -115,6 +118,16 @@ def is_told(name: str, part: Combination) -> bool:
     if low is None or high is None:
         return False
     return high - low < 2 * abs(part.value) if name in _TIMES else not 0 < WIDEST_INPUT * low < high
+
+
+def _may_be_refuted(name: str, part: Combination) -> bool:
+    """Whether a closed interval is too wide for a wrong law to be good enough: such a quantity may be refuted, too."""
+    low, high = part.ci95
+    assert low is not None
+    assert high is not None
+    if name in _TIMES:
+        return high - low > 2 * TOLERABLE[False]
+    return low <= 0 or bool(np.log(high / low) > 2 * TOLERABLE[True])
 
 
 def _range(part: Combination) -> str:

@@ -104,7 +104,7 @@ class Evidence:
 
     Attributes:
         test: Short stable name: `follows_command`, `time`, `quarter`, `size`, `speed`, `method`, `bound`,
-            `jerk`, `drag`, `slow`, `order`.
+            `jerk`, `drag`, `slow`, `order`, `twice`.
         strength: The result of the test, one sentence.
         p_value: Probability of a result at least this extreme if the law is right.
         sd: Coefficient or combination to the standard deviation that the test adds, on the scale of its `Spread`.

@@ -3,6 +3,10 @@
 LEAST_TIME = 5.0
 """Shortest usable time for which an axis is fitted [s]."""
 
+TOLERABLE = {True: 0.25, False: 0.05}
+"""Half width of an interval, of a logarithm (True) or else [s], up to which a wrong law is good enough: the interval
+includes the error that the tests detect, and is still useful."""
+
 WIDEST_INPUT = 10.0
 """Ratio of the ends of the input gain's interval beyond which the gain is not identifiable."""
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from rotorfit.core.laws import Extra, structure_named
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Evidence, Interval, Model, Spread
+from rotorfit.estimation.identifiability import TOLERABLE
 from rotorfit.estimation.judgement.cross_check import with_instruments
 from rotorfit.estimation.judgement.each_flight import each_flight
 from rotorfit.estimation.judgement.omitted_terms import omitted_term
@@ -37,10 +38,6 @@ FlightValue = tuple[float, float] | None
 WIDEST_ERROR = {True: 1.0, False: 0.3}
 """Standard error of one flight, of a logarithm (True) or else [s], beyond which the flight is not used for the spread
 between flights."""
-
-TOLERABLE = {True: 0.25, False: 0.05}
-"""Half width of an interval, of a logarithm (True) or else [s], up to which a wrong law is good enough: the interval
-includes the error that the tests detect, and is still useful."""
 
 
 @dataclass(frozen=True)

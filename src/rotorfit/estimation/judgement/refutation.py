@@ -363,7 +363,9 @@ def doubt(
 
 
 def _refutes(one: Evidence, factor: Mapping[str, float]) -> bool:
-    return one.test != "order" and one.p_value < CERTAIN and any(factor[name] > REFUTED for name in one.sd)
+    return (
+        one.test not in ("order", "twice") and one.p_value < CERTAIN and any(factor[name] > REFUTED for name in one.sd)
+    )
 
 
 _CUTS = {
@@ -412,7 +414,7 @@ def _likelier(between: BetweenLaws) -> Evidence:
     inner = "commands pass the lag twice, as an inner loop of the second order,"
     law = inner if between.twice else "the velocity is of the second order"
     return Evidence(
-        "order",
+        "twice" if between.twice else "order",
         f"a law under which {law} is likelier by {between.gained:.0f} log units, with a total lag of "
         f"{between.total_lag:.3f} s",
         between.p_value,
