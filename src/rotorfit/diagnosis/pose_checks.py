@@ -51,7 +51,6 @@ FASTEST_TURN = 6.0
 SMALLEST = 0.02
 """Largest extent in x, y and z [m] that no commanded flight stays within: a hover drifts more."""
 
-
 LOST, SPOILT = 0.01, 0.05
 """Share of poses at the origin, between others, from which on it is told, and from which on nothing is left to fit."""
 
@@ -349,6 +348,7 @@ def _unit_of_position(flight: Flight, motion: Motion) -> Iterator[Finding]:
             "unit_mistake",
             "warning",
             f"{told}, though it is commanded; no flight stays within {100 * SMALLEST:g} cm",
-            "input gains of x, y and z are too small by the ratio of the units; damping and delay keep their values",
-            "check the unit of x, y and z of [pose] in the card: metres read as cm or mm?",
+            "input gains of x, y and z are too small by the ratio of the units, while damping and delay keep their "
+            "values; or nothing flew, and there is nothing to fit",
+            "check the unit of x, y and z of [pose] in the card (metres read as cm or mm?), and that the vehicle flew",
         )
