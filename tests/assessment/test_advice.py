@@ -261,7 +261,7 @@ def test_a_gain_known_to_no_better_than_a_fifth_is_weakly_excited() -> None:
     assert "30 %" in found(weak)["weak_excitation", "z"].evidence
     traded = found(changed(weak, extra={"lag": 0.2}))
     assert ("weak_excitation", "z") not in traded
-    assert "known to 30 % only, its steady gain within" in traded["parts_trade_off", "z"].evidence
+    assert "known to 30 % only, its steady gain to" in traded["parts_trade_off", "z"].evidence
 
 
 def test_what_the_fit_says_better_is_not_repeated_and_what_only_the_flight_says_stays() -> None:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from flights import flown, steps
 from rotorfit.assessment.advice import findings_of_fit
@@ -21,9 +22,9 @@ def told(flights: list[Flight], axes: tuple[str, ...]) -> dict[tuple[str, str | 
     return {(one.code, one.axis): one for one in findings_of_fit(known)}
 
 
-def scaled(flight: Flight, factor: float) -> Flight:
+def scaled(flight: Flight, factor: float, path: str = "other.csv") -> Flight:
     """The flight with its z command times a factor."""
-    return replace(flight, path="other.csv", command=flight.command * np.array([1.0, 1.0, factor, 1.0]))
+    return replace(flight, path=path, command=flight.command * np.array([1.0, 1.0, factor, 1.0]))
 
 
 def test_flights_that_are_alike_have_none_of_the_findings() -> None:
@@ -32,12 +33,23 @@ def test_flights_that_are_alike_have_none_of_the_findings() -> None:
     assert not {code for code, _ in found} & {"sign_flipped", "flights_disagree"}
 
 
-def test_a_flight_whose_command_has_the_other_sign_is_named() -> None:
-    *alike, last = flights(("z",))
-    found = told([*alike, scaled(last, -1.0)], ("z",))["sign_flipped", "z"]
+@pytest.mark.parametrize("turned", [(3,), (2, 3), (1, 2, 3)])
+def test_flights_whose_command_has_the_other_sign_are_named(turned: tuple[int, ...]) -> None:
+    """Also where all together have no gain, or the wrong one."""
+    whole = [scaled(one, -1.0 if i in turned else 1.0, f"{i}.csv") for i, one in enumerate(flights(("z",)))]
+    found = told(whole, ("z",))
 
-    assert found.severity == "error"
-    assert found.evidence.startswith("other.csv: alone it gives z an input of -2.4")
+    assert {axis for code, axis in found if code in ("not_excited", "weak_excitation", "flights_disagree")} == set()
+    assert found["sign_flipped", "z"].severity == "error"
+    backwards, forwards = found["sign_flipped", "z"].evidence.split(" and forwards in ")
+    assert all((f"{i}.csv" in backwards) == (i in turned) != (f"{i}.csv" in forwards) for i in range(4))
+
+
+def test_one_of_two_flights_whose_command_has_the_other_sign_is_told() -> None:
+    first, second, *_ = flights(("z",))
+    found = told([first, scaled(second, -1.0)], ("z",))
+
+    assert "backwards in other.csv (-1.1" in found["sign_flipped", "z"].evidence
 
 
 def test_a_flight_in_another_unit_is_told_as_that() -> None:

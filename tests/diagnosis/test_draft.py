@@ -327,6 +327,18 @@ def test_rows_of_poses_and_of_commands_have_clocks_of_their_own(
     assert flight_from_log(log, card).duration == pytest.approx(T[-1], abs=0.2)
 
 
+def test_a_name_like_that_of_a_clock_of_commands_is_none_where_every_row_has_a_value() -> None:
+    """It may be a thrust, or the time that a computation took."""
+    true = turning()
+    columns = {f"cmd_{axis}": COMMAND[axis] for axis in ("x", "y", "z", "yaw")}
+    columns |= {axis: true[axis] for axis in ("x", "y", "z", "yaw")} | {"loop_time": T, "t_cmd": T + 0.1}
+
+    found = draft_card(log_of(flight=columns))
+
+    assert found.count('time = "loop_time"') == 2
+    assert "t_cmd" not in found.partition("# All columns")[0]
+
+
 def test_commands_named_as_velocities_come_before_setpoints_of_a_position(tmp_path: Path) -> None:
     names = {f"cmd_{axis}": f"cmd_v{axis}" for axis in "xyz"} | {"cmd_yaw": "cmd_yaw_rate"}
     columns = dict(csv_log(**names).tables["flight"].columns)

@@ -92,8 +92,9 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         fit: The fit with its flights.
         before: Findings of the single flights; those that the fit supersedes are left out.
     """
-    told = [finding for finding in before if not _settled(finding, fit)]
-    found = list(told)
+    turned = {finding.axis: finding for finding in turned_findings(fit)}
+    told = [one for one in before if not (_settled(one, fit) or (one.code == "sign_flipped" and one.axis in turned))]
+    found = [*told, *turned.values()]
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
     misread = wrong if any(one.code in WRONG_FRAME and one.severity == "error" for one in found) else ()
@@ -105,6 +106,8 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
+        if name in turned:  # everything else follows from that
+            continue
         if not (name in misread and axis.status["input"] == "not_excited"):
             found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
         found += _event_findings(name, axis, flights)
@@ -136,8 +139,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found += _bias_findings(fit.model.method)
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
-    found += disagreement_findings(fit)
-    found += turned_findings(fit)
+    found += (one for one in disagreement_findings(fit) if one.axis not in turned)
     for flight in fit.flights:
         found += findings_of_left_out(fit.model, flight) if flight.held else ()
     still = frozen_axes(told)

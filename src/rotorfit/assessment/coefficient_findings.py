@@ -12,7 +12,7 @@ from rotorfit.assessment.summary import is_told
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Axis, Combination, Weighed
+from rotorfit.core.model import NORMAL, Axis, Combination, Weighed
 from rotorfit.diagnosis.doctor import SHORT_TIME
 from rotorfit.estimation.likelihood.coefficients import statuses
 
@@ -130,15 +130,16 @@ def excitation_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Ite
     if axis.input and error and is_weak(axis):
         share = f"the input gain of {name} is known to {100 * error / abs(axis.input):.0f} % only"
         gain, lag = (_told(axis, part) for part in ("steady_gain", "total_lag"))
-        if "lag" in axis.extra and gain and lag and max(_half_width(gain), _half_width(lag)) < WEAK_GAIN:
+        if "lag" in axis.extra and gain and lag and max(_error(gain), _error(lag)) < 0.5 * WEAK_GAIN:
             yield Finding(
                 "parts_trade_off",
                 "info",
-                f"{share}, its steady gain within {100 * _half_width(gain):.2g} % and its total lag within "
-                f"{100 * _half_width(lag):.2g} %",
+                f"{share}, its steady gain to {100 * _error(gain):.2g} % and its total lag to "
+                f"{100 * _error(lag):.2g} % (standard errors)",
                 f"lag and damping of {name} are two poles near each other, and to exchange them changes little: input, "
                 "damping and lag are wide, but not what they do together",
-                "nothing, unless you need the parts: predictions and controllers depend on what is known",
+                "nothing, unless you need the parts: then fly longer, and larger commands; predictions and controllers "
+                "depend on what is known",
                 name,
             )
         else:
@@ -179,12 +180,12 @@ def _told(axis: Axis, name: str) -> Combination | None:
     return part if part and is_told(name, part) else None
 
 
-def _half_width(part: Combination) -> float:
-    """Half of a closed interval over the value."""
+def _error(part: Combination) -> float:
+    """Standard error of a combination with a closed interval, over its value."""
     low, high = part.ci95
     assert low is not None
     assert high is not None
-    return 0.5 * (high - low) / abs(part.value)
+    return 0.5 * (high - low) / (NORMAL * abs(part.value))
 
 
 def _known_beside(name: str, axis: Axis) -> str:

@@ -11,9 +11,11 @@ from rotorfit.core.frames import Array
 from rotorfit.core.model import Spread
 from rotorfit.core.plain import listed
 from rotorfit.core.results import Fit
-from rotorfit.estimation.judgement.each_flight import one_flight
+from rotorfit.estimation.fitting import estimate_group
+from rotorfit.estimation.judgement.each_flight import each_flight
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.estimand import estimands
 
 DISAGREE = 0.01
 """Probability that flights that agree are reported to disagree, over all axes of a fit."""
@@ -43,7 +45,7 @@ ALIKE = 0.25
 """Largest relative difference of the shifts of axes that count as one."""
 
 CERTAIN = 3.0
-"""Standard errors from which on a sign counts."""
+"""Standard errors from which on the sign of a gain counts."""
 
 
 def disagreement_findings(fit: Fit) -> Iterator[Finding]:
@@ -77,36 +79,53 @@ def disagreement_findings(fit: Fit) -> Iterator[Finding]:
 
 
 def turned_findings(fit: Fit) -> Iterator[Finding]:
-    """Flights whose command of an axis moves the vehicle the other way than that of all flights together.
+    """Axes whose command moves the vehicle one way in some flights and the other way in others.
 
-    Such a flight has no logarithm of its gain, so that the spread between flights leaves it out.
+    The logarithm of a gain does not tell them, so that the spread between flights leaves flights out, and the gain of
+    all together may be nothing.
     """
     for name, estimate in fit.estimates.items():
-        axis = fit.model.axes[name]
-        spread = axis.spread.get("steady_gain") or axis.spread.get("input")
-        if axis.predictor is None or spread is None:
+        ways = _ways(fit, name) if len(estimate.records) > 1 else {}
+        if len({gain > 0 for gain in ways.values()}) < 2:
             continue
-        lost = [j for j, value in enumerate(spread.each) if value is None]
-        for j, gain in ((j, gain) for j in lost if (gain := _turned_gain(estimate, j))):
-            flight = fit.flights[serving_flights(fit, estimate)[j]]
-            yield Finding(
-                "sign_flipped",
-                "error",
-                f"{flight.path}: alone it gives {name} an input of {gain:.3g}, all flights together one of "
-                f"{axis.predictor.input:.3g}: a positive command moves {name} the other way there",
-                f"the coefficients of {name} are a mean of two signs, and of no vehicle",
-                f"read that flight with a card whose {name} in [command] has the other sign of scale, or leave it out",
-                name,
-            )
+        backwards = {path: gain for path, gain in ways.items() if gain < 0}
+        forwards = {path: gain for path, gain in ways.items() if gain > 0}
+        told = (listed([f"{path} ({gain:.3g})" for path, gain in each.items()]) for each in (backwards, forwards))
+        yield Finding(
+            "sign_flipped",
+            "error",
+            "a positive command of {} moves it backwards in {} and forwards in {}, by the steady gain of each flight "
+            "alone".format(name, *told),
+            f"what is told of {name} is a mean of two signs, and of no vehicle",
+            f"read the flights of the wrong sign with a card whose {name} in [command] has the other sign of scale, or "
+            "leave them out; a clock that is off by half a period of the commands looks like this, too",
+            name,
+        )
 
 
-def _turned_gain(estimate: Estimate, j: int) -> float | None:
-    """The input from one flight alone, where it has certainly the other sign than that of all; else None."""
-    alone, k = one_flight(estimate, j), estimate.place
-    if alone is None:
-        return None
-    gain, error = float(alone.optimum.point.gain[k]), float(np.sqrt(alone.optimum.covariance[k, k]))
-    return gain if gain * estimate.optimum.point.gain[k] < 0 and abs(gain) > CERTAIN * error else None
+def _ways(fit: Fit, name: str) -> dict[str, float]:
+    """The steady gain of the flights that certainly tell its sign, by path, where one of them tells no logarithm."""
+    estimate, axis = fit.estimates[name], fit.model.axes[name]
+    spread = axis.spread.get("steady_gain") or axis.spread.get("input")
+    if axis.predictor and spread and all(spread.each):
+        return {}
+    paths = [fit.flights[place].path for place in serving_flights(fit, estimate)]
+    out = {}
+    for path, one in zip(paths, _alone(fit, name), strict=True):
+        gain = estimands(one.optimum, one.place).get("steady_gain") if one else None
+        if one and gain and gain.error(one.optimum) < 1 / CERTAIN:
+            out[path] = gain.value
+    return out
+
+
+def _alone(fit: Fit, name: str) -> list[Estimate | None]:
+    """The estimate from each flight alone, sought anew where all together do not excite the axis."""
+    estimate = fit.estimates[name]
+    if estimate.excited:
+        return each_flight(estimate)
+    flights = [fit.flights[place] for place in serving_flights(fit, estimate)]
+    sought = [estimate_group([flight], estimate.records[0].axes, {}).get(name) for flight in flights]
+    return [one if one and one.excited else None for one in sought]
 
 
 def _late(fit: Fit) -> dict[str, tuple[list[str], float]]:
@@ -136,7 +155,7 @@ def _clocks(late: Mapping[str, tuple[list[str], float]]) -> str:
         f"{'later' if time > 0 else 'earlier'} alike, as where poses and commands have two clocks"
         for path, (axes, time) in late.items()
     ]
-    return f"{'; '.join(told)}: look at its stamps first, and leave the flight out if nothing else shows its clocks"
+    return f"{'; '.join(told)}: look at its stamps first; else it is of another vehicle"
 
 
 def _units(quantity: str, spread: Spread) -> str:
@@ -145,8 +164,8 @@ def _units(quantity: str, spread: Spread) -> str:
     if quantity not in ("input", "steady_gain") or max(known) - min(known) < np.log(OTHER_UNIT):
         return ""
     return (
-        "compare units and scales of the flights in [command] and [pose] first: per cent, degrees, cm and mm differ by "
-        "100, 57.3, 100 and 1000; no payload changes a gain so much"
+        "compare units and scales of the flights in [command] and [pose] first, and their clocks: per cent, degrees, "
+        "cm and mm differ by 100, 57.3, 100 and 1000; no payload changes a gain so much"
     )
 
 

@@ -69,9 +69,7 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
             (
                 "no law that --structure auto tries does better: "
                 if chosen
-                else f"fit with --structure {law}, or "
-                if law
-                else "none of the structures has what is missing: "
+                else f"fit with --structure {law}, or " * bool(law)
             )
             + _flights(axis, "fly commands of the size and speed that the model is wanted for")
             + "; predictions of like motion may still be good: see validate",

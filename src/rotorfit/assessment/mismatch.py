@@ -5,7 +5,7 @@ in time removed from both. Under the right card their ratio is positive and with
 of the model: in a feedback loop, whose commands oppose the wind, 0.24 has been seen. Units differ by more.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +50,7 @@ def findings_of_left_out(model: Model, flight: Flight) -> Iterator[Finding]:
         model: The fitted model.
         flight: A flight of the fit; the axes that were taken from it are looked at.
     """
-    for axis, ratio, explained in _ratios(model, beginning(replace(flight, axes=flight.held))):
+    for axis, ratio, explained in _ratios(model, beginning(replace(flight, axes=flight.held)), beside=flight.axes):
         if explained > MOSTLY and ratio > ALIKE:
             yield replace(
                 _finding(axis, model, flight, ratio),
@@ -65,8 +65,12 @@ def beginning(flight: Flight) -> Flight:
     return flight if end - start <= LOOKED else between(flight, start, start + LOOKED)
 
 
-def _ratios(model: Model, flight: Flight) -> Iterator[tuple[str, float, float]]:
-    """Of each axis that answers: the ratio of its velocity to the model's, and the share of its variance explained."""
+def _ratios(model: Model, flight: Flight, beside: Sequence[str] = ()) -> Iterator[tuple[str, float, float]]:
+    """Of each axis that answers: the ratio of its velocity to the model's, and the share of its variance explained.
+
+    What the commands of the axes `beside` explain of either, as by coupling or by a stick that is not held straight, is
+    taken from both.
+    """
     motion = motion_from_flight(flight)
     if len(motion.time) < LEAST_POSES:
         return
@@ -75,9 +79,11 @@ def _ratios(model: Model, flight: Flight) -> Iterator[tuple[str, float, float]]:
     for axis in flight.axes:
         if model.axes[axis].predictor is None or not np.ptp(flight.command[:, AXES.index(axis)]) > 0:
             continue
+        others = [_response(model, flight, axis, motion.time, other) for other in beside]
+        known = np.linalg.qr(np.column_stack([line, *others]))[0] if others else line
         seen, expected = (
-            one - line @ (line.T @ one)
-            for one in (motion.velocity[:, AXES.index(axis)], _response(model, flight, axis, motion.time))
+            one - known @ (known.T @ one)
+            for one in (motion.velocity[:, AXES.index(axis)], _response(model, flight, axis, motion.time, axis))
         )
         along, size = float(seen @ expected), float(expected @ expected)
         if size == 0 or along**2 <= EXPLAINED * size * float(seen @ seen):  # equal where a coordinate stands still
@@ -85,11 +91,11 @@ def _ratios(model: Model, flight: Flight) -> Iterator[tuple[str, float, float]]:
         yield axis, along / size, along**2 / (size * float(seen @ seen))
 
 
-def _response(model: Model, flight: Flight, axis: str, time: Array) -> Array:
-    """Velocity that the first-order law of an axis gives to its command alone, at some times, shape (N,)."""
+def _response(model: Model, flight: Flight, axis: str, time: Array, commanded: str) -> Array:
+    """Velocity that the first-order law of an axis gives to the command of one axis, at some times, shape (N,)."""
     point = first_order(model, axis).predictor
     grid = np.arange(flight.command_time[0], flight.command_time[-1] + GRID, GRID)
-    held = flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1, AXES.index(axis)]
+    held = flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1, AXES.index(commanded)]
     damping = min(max(point.damping, 1e-2), FASTEST_POLE)
     smooth = first_order_low_pass(held[:, None], float(np.exp(-GRID * damping)))[:, 0]
     return np.asarray(point.input / damping * np.interp(time - point.delay, grid, smooth))

@@ -81,7 +81,7 @@ _Y_UP = {"x": "z", "y": "x", "z": "y", "qw": "qw", "qx": "qz", "qy": "qx", "qz":
 
 _STATE = "(?:(?:twist|state|estimate|odom|drone|body|world|local|onboard|mocap|vicon|optitrack|velocity)_?)*"
 
-_IN_FRAME = "(?:_(?:b|body|w|world))?"
+_IN_FRAME = "(?:_(?:body|world))?"
 
 _VELOCITIES = (
     {
@@ -93,7 +93,7 @@ _VELOCITIES = (
     {"x": "v(f)", "y": "v(l)", "z": "v(e|u)"},  # forward, left, up
 )
 
-_OF_THE_BODY = "body|_b$|(?:^|_)(?:twist_twist|lin_?x|vf)"
+_OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
 
 _REFERENCE = {axis: f"{_GOAL}_?{axis}|{axis}_?{_GOAL}" for axis in AXES}
 
@@ -304,7 +304,7 @@ def is_directed(pose: Recognised) -> bool:
 
 
 def _points(pose: Recognised, axis: str, letter: str, words: str) -> bool:
-    said = rf"(?:^|_)(?:(?:p|pos(?:ition)?_?){letter}|{letter}_?pos(?:ition)?|{words})$"
+    said = rf"(?:^|_)(?:(?:p|pos(?:ition)?_?|pose_){letter}|{letter}_?pos(?:ition)?|{words})$"
     return axis in pose.channels and bool(re.search(said, name_without_unit(str(pose.channels[axis].source))))
 
 

@@ -309,7 +309,9 @@ _CLOCK = "(?:time|stamp|timestamp|time_stamp)"
 
 _STAMPED = "(?:cmds?|commands?|poses?|mocap|control|sent|send|recv|received|rx|tx)"
 
-_CLOCK_OF_SOMETHING = re.compile(f"(.+)_{_CLOCK}|(?:t|{_CLOCK})_{_STAMPED}")
+_CLOCK_OF_SOMETHING = re.compile(f"(.+)_{_CLOCK}")
+
+_CLOCK_OF_ROWS = re.compile(f"(?:t|{_CLOCK})_{_STAMPED}")
 
 _PER_SECOND = {None: 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
@@ -387,12 +389,14 @@ def clocks_of(table: Table, count: int) -> list[str]:
 def clocks(table: Table) -> dict[str, int]:
     """Columns that are named like clocks, or like those of something, and advance; the likeliest first.
 
-    Where there is none, those that count ms, us or ns.
+    Names as `t_cmd`, which may be a thrust, are clocks only where they are blank in some rows and never go back. Where
+    there is no clock, those that count ms, us or ns.
     """
     plain = {name: name_without_unit(name) for name, values in table.columns.items() if is_series(values)}
     names = {one: name for name, one in plain.items()}
     likely = [names[clock] for clock in _CLOCKS if clock in names]
     likely += [name for name, one in plain.items() if _CLOCK_OF_SOMETHING.fullmatch(one) and name not in likely]
+    likely += [name for name, one in plain.items() if _CLOCK_OF_ROWS.fullmatch(one) and _stamps_rows(table, name)]
     if not likely:
         likely = [name for name in plain if _counts_time(table, name)]
     return {name: table.columns[name].size for name in likely if _advances(table.columns[name].ravel().astype(float))}
@@ -400,8 +404,17 @@ def clocks(table: Table) -> dict[str, int]:
 
 def _counts_time(table: Table, name: str) -> bool:
     """Whether a column is in a unit of time by its name and never goes back: `tx_ms`, not `latency_ms`."""
+    return unit_of_name(name) in ("ms", "us", "ns") and _never_goes_back(table, name)
+
+
+def _stamps_rows(table: Table, name: str) -> bool:
+    """Whether a column has no value in some rows, and never goes back."""
+    return not np.all(np.isfinite(table.columns[name].astype(float))) and _never_goes_back(table, name)
+
+
+def _never_goes_back(table: Table, name: str) -> bool:
     values = table.columns[name].ravel().astype(float)
-    return unit_of_name(name) in ("ms", "us", "ns") and bool(np.all(np.diff(values[np.isfinite(values)]) >= 0))
+    return bool(np.all(np.diff(values[np.isfinite(values)]) >= 0))
 
 
 def _advances(stamps: Array) -> bool:

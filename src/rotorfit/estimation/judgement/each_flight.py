@@ -26,11 +26,10 @@ def each_flight(estimate: Estimate) -> list[Estimate | None]:
         One estimate per flight; None where the flight does not change the command of the axis or the climb has not
         converged, so that one more step would gain 1 or more in log-likelihood.
     """
-    return [one_flight(estimate, j) for j in range(len(estimate.records))]
+    return [_alone(estimate, j) for j in range(len(estimate.records))]
 
 
-def one_flight(estimate: Estimate, j: int) -> Estimate | None:
-    """The estimate from the j-th flight alone, as in `each_flight`."""
+def _alone(estimate: Estimate, j: int) -> Estimate | None:
     whole, rec = estimate.optimum, estimate.records[j]
     point = replace(
         whole.point, trim=whole.point.trim[j : j + 1], start=whole.point.start[segments(estimate.records)[j]]
