@@ -28,6 +28,8 @@ ALIKE = 8.0
 BACKWARDS, MOSTLY = 0.3, 0.5
 """Least size of a negative ratio, and least share of the variance that it explains: less may be a loop's own doing."""
 
+UNITS = "per cent, degrees, cm and mm differ by 100, 57.3, 100 and 1000"
+
 FASTEST_POLE = 1e3
 """Damping beyond which a response follows its command at once on the grid [1/s]."""
 
@@ -56,6 +58,7 @@ def findings_of_left_out(model: Model, flight: Flight) -> Iterator[Finding]:
                 _finding(axis, model, flight, ratio),
                 effect=f"{axis} was not fitted to this flight, whose commands are small beside those of another one: "
                 "the coefficients are per unit of that one",
+                remedy=f"compare units and scales of {axis} in [command] and [pose] of the flights: {UNITS}",
             )
 
 
@@ -118,7 +121,6 @@ def _finding(axis: str, model: Model, flight: Flight, ratio: float) -> Finding:
         "poses than those of the fit, or is of another vehicle",
         sign
         if backwards
-        else f"compare units and scales of {axis} in [command] and [pose] with those of the card of the fit: per cent, "
-        "degrees, cm and mm differ by 100, 57.3, 100 and 1000",
+        else f"compare units and scales of {axis} in [command] and [pose] with those of the card of the fit: {UNITS}",
         axis,
     )
