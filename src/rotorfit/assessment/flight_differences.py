@@ -85,12 +85,13 @@ def turned_findings(fit: Fit) -> Iterator[Finding]:
     all together may be nothing.
     """
     for name, estimate in fit.estimates.items():
-        ways = _ways(fit, name) if len(estimate.records) > 1 else {}
-        if len({gain > 0 for gain in ways.values()}) < 2:
+        ways = _ways(fit, name) if len(estimate.records) > 1 else []
+        told = [
+            listed([f"{path} ({gain:.3g})" for path, gain in ways if (gain > 0) == forwards])
+            for forwards in (False, True)
+        ]
+        if not all(told):
             continue
-        backwards = {path: gain for path, gain in ways.items() if gain < 0}
-        forwards = {path: gain for path, gain in ways.items() if gain > 0}
-        told = (listed([f"{path} ({gain:.3g})" for path, gain in each.items()]) for each in (backwards, forwards))
         yield Finding(
             "sign_flipped",
             "error",
@@ -103,18 +104,18 @@ def turned_findings(fit: Fit) -> Iterator[Finding]:
         )
 
 
-def _ways(fit: Fit, name: str) -> dict[str, float]:
-    """The steady gain of the flights that certainly tell its sign, by path, where one of them tells no logarithm."""
+def _ways(fit: Fit, name: str) -> list[tuple[str, float]]:
+    """Path and steady gain of the flights that certainly tell its sign, where one of them tells no logarithm."""
     estimate, axis = fit.estimates[name], fit.model.axes[name]
     spread = axis.spread.get("steady_gain") or axis.spread.get("input")
     if axis.predictor and spread and all(spread.each):
-        return {}
+        return []
     paths = [fit.flights[place].path for place in serving_flights(fit, estimate)]
-    out = {}
+    out = []
     for path, one in zip(paths, _alone(fit, name), strict=True):
         gain = estimands(one.optimum, one.place).get("steady_gain") if one else None
         if one and gain and gain.error(one.optimum) < 1 / CERTAIN:
-            out[path] = gain.value
+            out.append((path, gain.value))
     return out
 
 
@@ -125,7 +126,7 @@ def _alone(fit: Fit, name: str) -> list[Estimate | None]:
         return each_flight(estimate)
     flights = [fit.flights[place] for place in serving_flights(fit, estimate)]
     sought = [estimate_group([flight], estimate.records[0].axes, {}).get(name) for flight in flights]
-    return [one if one and one.excited else None for one in sought]
+    return [one if one and one.excited else None for one in sought]  # without a gain there is no logarithm of it
 
 
 def _late(fit: Fit) -> dict[str, tuple[list[str], float]]:
