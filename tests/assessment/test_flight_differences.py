@@ -67,8 +67,9 @@ def test_flights_that_only_seem_to_hold_an_axis_beside_one_in_another_unit_are_n
     found = told([*alike, scaled(last, 100.0)], ("z",))["card_differs", "z"]
 
     assert found.severity == "error"
-    assert "z moves +101 times what the model says of its commands" in found.evidence
-    assert "was not fitted to this flight" in found.effect
+    assert found.evidence.startswith("a command of z moves simulated-")
+    assert "101 times as far as other.csv: the one or the other is in another unit" in found.evidence
+    assert "z was fitted to other.csv alone" in found.effect
 
 
 def test_a_flight_whose_answers_are_late_on_all_axes_is_told_as_one_of_another_clock() -> None:

@@ -98,8 +98,8 @@ def turned_findings(fit: Fit) -> Iterator[Finding]:
             "a positive command of {} moves it backwards in {} and forwards in {}, by the steady gain of each flight "
             "alone".format(name, *told),
             f"what is told of {name} is a mean of two signs, and of no vehicle",
-            f"read the flights of the wrong sign with a card whose {name} in [command] has the other sign of scale, or "
-            "leave them out; a clock that is off by half a period of the commands looks like this, too",
+            f"leave the flights of the wrong sign out, or write their logs anew with {name} of the commands turned, as "
+            "one card serves all flights of a fit; a clock that is off by half a period of the commands looks alike",
             name,
         )
 

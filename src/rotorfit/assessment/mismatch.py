@@ -14,6 +14,7 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import Model, first_order
+from rotorfit.core.plain import listed
 from rotorfit.diagnosis.command_response import EXPLAINED, GRID, LEAST_POSES, thinned
 from rotorfit.dynamics.first_order_low_pass import first_order_low_pass
 from rotorfit.dynamics.kinematics import motion_from_flight
@@ -54,11 +55,15 @@ def findings_of_left_out(model: Model, flight: Flight) -> Iterator[Finding]:
     """
     for axis, ratio, explained in _ratios(model, beginning(replace(flight, axes=flight.held)), beside=flight.axes):
         if explained > MOSTLY and ratio > ALIKE:
+            fitted = listed([one.path for one in model.flights if axis in one.axes])
             yield replace(
                 _finding(axis, model, flight, ratio),
-                effect=f"{axis} was not fitted to this flight, whose commands are small beside those of another one: "
-                "the coefficients are per unit of that one",
-                remedy=f"compare units and scales of {axis} in [command] and [pose] of the flights: {UNITS}",
+                evidence=f"a command of {axis} moves {flight.path} {ratio:.3g} times as far as {fitted}: the one or "
+                "the other is in another unit",
+                effect=f"{axis} was fitted to {fitted} alone, beside which the commands of the other seem to hold it: "
+                "the coefficients are per unit of that",
+                remedy=f"look at {axis} of the commands of both; one card serves all flights of a fit, so that one log "
+                f"has to be left out or written anew: {UNITS}",
             )
 
 

@@ -48,12 +48,13 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES, validated: bool =
     flights = f"1 flight of {time:.0f} s" if count == 1 else f"{count} flights, {time:.0f} s in all,"
     coefficients = COEFFICIENTS[:2] if model.method == "paper" else COEFFICIENTS
     sure = [axis for axis in wanted if all(model.axes[axis].status[name] == "ok" for name in coefficients)]
-    whole = [axis for axis in sure if not set(given_by_law(model.axes[axis].structure)) & set(coefficients)]
-    partly = [axis for axis in wanted if axis not in whole and model.axes[axis].predictor]
+    bad = spoiled(model.findings, {axis: model.axes[axis] for axis in wanted})
+    all_told = [axis for axis in sure if not set(given_by_law(model.axes[axis].structure)) & set(coefficients)]
+    whole = [axis for axis in all_told if axis not in bad]
+    partly = [axis for axis in wanted if axis not in all_told and model.axes[axis].predictor]
     sentences = [f"Fitted to {flights} by {label_of(model.method)}{BELIEVED * bool(model.prior)}."]
     if whole:
         sentences.append(f"Known: {listed([_NAMES[name] for name in coefficients])} of {listed(whole)}.")
-    bad = spoiled(model.findings, {axis: model.axes[axis] for axis in wanted})
     known = {axis: _partly_known(model.axes[axis], axis not in bad) for axis in partly}
     sentences += [
         said.format(listed([a for a in partly if known[a] == said])) for said in dict.fromkeys(known.values())

@@ -139,7 +139,13 @@ MODEL = click.argument("model_path", metavar="MODEL")
 def card_option(default: str) -> Callable[[Function], Function]:
     """The option `--card`; `default` says in words what is used without it."""
     told = f"Name of a built-in card, or a TOML file; default: {default}."
-    return click.option("--card", metavar="C", callback=_not_an_option, help=told)
+    return click.option("--card", metavar="C", multiple=True, callback=_one_card, help=told)
+
+
+def _one_card(ctx: click.Context | None, parameter: click.Parameter | None, values: tuple[str, ...]) -> str | None:
+    if len(values) > 1:
+        raise click.BadParameter(f"{len(values)} cards are given, and one serves all logs", ctx, parameter)
+    return _not_an_option(ctx, parameter, values[0]) if values else None
 
 
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
