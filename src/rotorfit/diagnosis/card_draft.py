@@ -477,7 +477,7 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
             f"by the motion: in {here}, {', '.join(together)} would be turned; if it is {here}, give scale = -1 there"
         )
         return _asked(log, replace(found, pose_frame=other, pose_remark=said))
-    if told.frame is None or found.alone:
+    if found.alone:
         return asked
     others = [_asked(log, one) for one in readings(found)]
     better = [one for one in others if one.answers and one.answers.left < CLEARER * told.left]
