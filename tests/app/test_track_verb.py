@@ -193,7 +193,7 @@ def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have
         (["LOG", "--pace", "inf"], "inf is not a number of 0.01 or more, such as 2"),
         (["LOG", "--for", "10"], "are for a --link; a LOG is a recording already, and LOG@0:60 is a part of it"),
         (["LOG", "--card", "--pace", "2"], "'--card': a value is missing before --pace"),
-        (["LOG", "--card", "bebop2", "--card", "tello"], "'--card': 2 cards are given, and one serves all logs"),
+        (["LOG", "--card", "bebop2", "--card", "tello"], "'--card': 2 cards are given, and one serves all flights"),
         (["LOG", "--card"], "'--card' requires an argument"),
         (["LOG", "--report", "-o", "model.json"], "'--report': a value is missing before -o"),
         (["LOG", "--report", "LOG"], "exists and is a log: not overwritten"),

@@ -11,6 +11,7 @@ from _pytest.mark import ParameterSet
 from test_builtin_cards import COMMAND, T, followed, motion
 from test_survey import csv_log, loaded, log_of, message_log
 
+from flights import flown, steps
 from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import heading_from_world, world_from_heading
@@ -26,6 +27,7 @@ from rotorfit.files.logs.several import join_logs
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import clocks
 from rotorfit.flights.several_files import bound
+from rotorfit.simulation.paper_vehicle import Truth
 
 # Drafts
 
@@ -514,6 +516,26 @@ def test_a_draft_reads_a_compass_as_clockwise_from_north(tmp_path: Path) -> None
     assert {one.scale for one in card.command.values()} == {1}
     turned = np.unwrap(flight_from_log(log, card).yaw)
     np.testing.assert_allclose(turned - turned[0], np.unwrap(true["yaw"])[: turned.size] - true["yaw"][0], atol=1e-6)
+
+
+def test_a_heading_from_east_is_no_compass_also_where_that_reading_hides_the_frame_of_the_commands(
+    tmp_path: Path,
+) -> None:
+    """Read as a compass, this flight exchanges x and y, and tells neither the world nor the heading (seed 13)."""
+    flight = flown(Truth(), steps(("x", "y", "z", "yaw"), seed=13), 40.0, 13)
+    at = np.radians(-163)
+    turn = np.array([[np.cos(at), -np.sin(at)], [np.sin(at), np.cos(at)]])
+    east, north = turn @ flight.position[:, :2].T
+    held = flight.command[np.searchsorted(flight.command_time, flight.pose_time, side="right") - 1]
+    columns = {"time": flight.pose_time, "mocap_east": east, "mocap_north": north, "mocap_up": flight.position[:, 2]}
+    columns |= {"heading_deg": np.degrees(flight.yaw + at)}
+    sticks = dict(zip(("stick_forward", "stick_left", "stick_up", "stick_turn"), held.T, strict=True))
+
+    card = loaded(draft_card(log_of(flight=columns | sticks)), tmp_path)
+
+    assert (card.pose["yaw"].scale, card.pose["yaw"].offset) == (1, 0)
+    assert [card.command[axis].source for axis in ("x", "y", "z", "yaw")] == list(sticks)
+    assert {channel.scale for channel in card.command.values()} == {1}
 
 
 EAST_NORTH_UP: dict[str, Callable] = {

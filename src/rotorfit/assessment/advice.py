@@ -9,11 +9,7 @@ from rotorfit.assessment.coefficient_findings import coefficient_findings, excit
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
 from rotorfit.assessment.flight_differences import disagreement_findings, turned_findings
 from rotorfit.assessment.frequency.loop import seem_to_answer
-from rotorfit.assessment.law_findings import (
-    contradicted,
-    law_findings,
-    with_size,
-)
+from rotorfit.assessment.law_findings import contradicted, law_findings, with_size
 from rotorfit.assessment.mismatch import findings_of_left_out
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import prior_findings

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorfit.assessment.mismatch import UNITS
 from rotorfit.assessment.uncertainty import serving_flights
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
@@ -85,9 +86,9 @@ def turned_findings(fit: Fit) -> Iterator[Finding]:
     all together may be nothing.
     """
     for name, estimate in fit.estimates.items():
-        ways = _ways(fit, name) if len(estimate.records) > 1 else []
+        gains = _certain_gains(fit, name) if len(estimate.records) > 1 else []
         told = [
-            listed([f"{path} ({gain:.3g})" for path, gain in ways if (gain > 0) == forwards])
+            listed([f"{path} ({gain:.3g})" for path, gain in gains if (gain > 0) == forwards])
             for forwards in (False, True)
         ]
         if not all(told):
@@ -104,7 +105,7 @@ def turned_findings(fit: Fit) -> Iterator[Finding]:
         )
 
 
-def _ways(fit: Fit, name: str) -> list[tuple[str, float]]:
+def _certain_gains(fit: Fit, name: str) -> list[tuple[str, float]]:
     """Path and steady gain of the flights that certainly tell its sign, where one of them tells no logarithm."""
     estimate, axis = fit.estimates[name], fit.model.axes[name]
     spread = axis.spread.get("steady_gain") or axis.spread.get("input")
@@ -165,8 +166,8 @@ def _units(quantity: str, spread: Spread) -> str:
     if quantity not in ("input", "steady_gain") or max(known) - min(known) < np.log(OTHER_UNIT):
         return ""
     return (
-        "compare units and scales of the flights in [command] and [pose] first, and their clocks: per cent, degrees, "
-        "cm and mm differ by 100, 57.3, 100 and 1000; no payload changes a gain so much"
+        f"compare units and scales of the flights in [command] and [pose] first, and their clocks: {UNITS}; no payload "
+        "changes a gain so much"
     )
 
 

@@ -1,4 +1,4 @@
-"""Findings that a flight of a validation and the model do not speak of the same commands: the card may be wrong.
+"""Findings that a flight, of a validation or of the fit, and the model do not speak of the same commands.
 
 The velocity along an axis is compared with the response of the model to the command of that axis alone, a straight line
 in time removed from both. Under the right card their ratio is positive and within a few times 1, whatever the quality
@@ -56,14 +56,16 @@ def findings_of_left_out(model: Model, flight: Flight) -> Iterator[Finding]:
     for axis, ratio, explained in _ratios(model, beginning(replace(flight, axes=flight.held)), beside=flight.axes):
         if explained > MOSTLY and ratio > ALIKE:
             fitted = listed([one.path for one in model.flights if axis in one.axes])
-            yield replace(
-                _finding(axis, model, flight, ratio),
-                evidence=f"a command of {axis} moves {flight.path} {ratio:.3g} times as far as {fitted}: the one or "
-                "the other is in another unit",
-                effect=f"{axis} was fitted to {fitted} alone, beside which the commands of the other seem to hold it: "
-                "the coefficients are per unit of that",
-                remedy=f"look at {axis} of the commands of both; one card serves all flights of a fit, so that one log "
-                f"has to be left out or written anew: {UNITS}",
+            yield Finding(
+                "card_differs",
+                "error",
+                f"a command of {axis} moves {flight.path} {ratio:.3g} times as far as {fitted}: the one or the other "
+                "is in another unit",
+                f"{axis} was fitted to {fitted} alone, beside which the commands of the other seem to hold it: the "
+                "coefficients are per unit of that",
+                f"look at {axis} of the commands of both; one card serves all flights of a fit, so that one log has to "
+                f"be left out or written anew: {UNITS}",
+                axis,
             )
 
 

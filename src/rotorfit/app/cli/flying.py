@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--card", metavar="C", help="Built-in card, TOML file or sim:VEHICLE; must state the limits.")
+@card_option("that of --after", "Built-in card, TOML file or sim:VEHICLE, with the limits")
 @click.option("--after", type=file_at(dir_okay=False), metavar="model.json", help="Design the next flight for a model.")
 @click.option(
     "--design",

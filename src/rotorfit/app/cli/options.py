@@ -136,15 +136,15 @@ LOGS = click.argument("logs", metavar="LOG...", nargs=-1, required=True)
 MODEL = click.argument("model_path", metavar="MODEL")
 
 
-def card_option(default: str) -> Callable[[Function], Function]:
-    """The option `--card`; `default` says in words what is used without it."""
-    told = f"Name of a built-in card, or a TOML file; default: {default}."
+def card_option(default: str, what: str = "Name of a built-in card, or a TOML file") -> Callable[[Function], Function]:
+    """The option `--card`; `what` says what it takes, and `default` what is used without it."""
+    told = f"{what}; default: {default}."
     return click.option("--card", metavar="C", multiple=True, callback=_one_card, help=told)
 
 
 def _one_card(ctx: click.Context | None, parameter: click.Parameter | None, values: tuple[str, ...]) -> str | None:
     if len(values) > 1:
-        raise click.BadParameter(f"{len(values)} cards are given, and one serves all logs", ctx, parameter)
+        raise click.BadParameter(f"{len(values)} cards are given, and one serves all flights", ctx, parameter)
     return _not_an_option(ctx, parameter, values[0]) if values else None
 
 

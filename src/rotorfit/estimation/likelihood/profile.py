@@ -17,8 +17,8 @@ NOT_WALKED = 0.1
 """Expected gain in log-likelihood at which a re-maximisation stops; the gain is then added to the objective."""
 
 
-STEEPEST = 1.5
-"""Largest change of the logarithm of a gain by which a step along a valley moves it."""
+LONGEST_IN_VALLEY = 1.5
+"""Largest change of the logarithm of a gain in a step along a valley."""
 
 
 def hold(
@@ -63,14 +63,17 @@ def _in_valley(point: Point, step: Array, index: int) -> Array:
 
     Args:
         point: Where it starts.
-        step: In the order of `Point.flat`.
-        index: Index of the parameter that it moves as far as it does.
+        step: In the order of `Point.flat`, shape (n + L K,).
+        index: Index of the parameter that is taken to a target.
+
+    Returns:
+        The step, which reaches the target of a gain up to `LONGEST_IN_VALLEY`; of the same shape.
     """
     gain, moved = point.gain, step.copy()
-    if index < gain.size and gain[index] * (gain[index] + step[index]) > 0:
-        moved *= gain[index] / step[index] * np.log1p(step[index] / gain[index]) if step[index] else 1.0
+    if index < gain.size and step[index] and gain[index] * (gain[index] + step[index]) > 0:
+        moved *= gain[index] / step[index] * np.log1p(step[index] / gain[index])
     share = np.divide(moved[: gain.size], gain, out=np.zeros_like(gain), where=gain != 0)
-    moved[: gain.size] = gain * np.expm1(np.clip(share, -STEEPEST, STEEPEST))
+    moved[: gain.size] = gain * np.expm1(np.clip(share, -LONGEST_IN_VALLEY, LONGEST_IN_VALLEY))
     return moved
 
 
