@@ -8,6 +8,7 @@ import pytest
 from models import VEHICLE, model_of, with_poses
 from rotorfit.core.card import Prior
 from rotorfit.core.errors import PlanError
+from rotorfit.core.finding import Finding
 from rotorfit.core.model import COEFFICIENTS, Plain, weighed
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.planning.belief import (
@@ -162,6 +163,15 @@ def test_a_model_of_velocities_alone_does_not_tell_the_noise_of_positions() -> N
 
     assert any(note.startswith("x: the model's flights had a velocity and no position") for note in notes)
     assert notes[-1] == ASSUMED
+
+
+def test_a_model_that_must_not_be_used_says_so_before_all_else() -> None:
+    flipped = Finding("sign_flipped", "error", "y turns over", "no number of y", "mend the flight", "y")
+    loud = Finding("few", "warning", "a", "b", "c", "y")
+    notes = belief_from_model(replace(model_of(), findings=(loud, flipped)), "m.json").notes
+
+    assert notes[0] == "this plan rests on numbers that must not be used: y turns over; mend the flight"
+    assert not any("must not be used" in note for note in belief_from_model(model_of(), "m.json").notes)
 
 
 def test_a_belief_from_a_card_says_how_many_poses_it_assumes() -> None:

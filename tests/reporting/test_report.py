@@ -526,13 +526,13 @@ def test_a_yes_names_the_coefficients_that_miss_the_targets_the_page_has() -> No
         return verdict_of(of, scores, against_hold(), [dict.fromkeys(AXES, residual())])
 
     told = verdict(vague)
-    assert told.headline == "Yes, for every axis. Not exact enough to tune a controller: delay of y."
+    assert told.headline == "Yes, for every axis. Known too little for the fastest controller: delay of y."
     assert told.lights[1].lamps[1].word == "known, short of targets"
     assert told.lights[1].lamps[1].text.endswith("exceed the targets: delay 2.0 times.")
-    assert "Not exact" not in verdict(model).headline
-    assert "Not exact" not in verdict(replace(vague, method="oe")).headline  # the page has no targets then
+    assert "too little" not in verdict(model).headline
+    assert "too little" not in verdict(replace(vague, method="oe")).headline  # the page has no targets then
     assert (
-        "Not exact" not in verdict(replace(vague, findings=(Finding("few", "warning", "a", "b", "c", "y"),))).headline
+        "too little" not in verdict(replace(vague, findings=(Finding("few", "warning", "a", "b", "c", "y"),))).headline
     )
 
 
@@ -635,7 +635,13 @@ def test_a_flight_that_was_misread_neither_proves_a_model_nor_condemns_it() -> N
     verdict = verdict_of(known_model(), scores, against_hold(), misread=[wrong])
 
     assert [light.colour for light in verdict.lights] == ["green", "green", "open", "green"]
-    assert "misread" in verdict.whole
+    assert verdict.whole == (
+        "As a whole: not proven. The flights were or may be misread in what concerns z: see the findings."
+    )
+    unusable = replace(known_model(), findings=(Finding("sign_flipped", "error", "a", "b", "c", "y"),))
+    assert verdict_of(unusable, scores, against_hold(), misread=[wrong]).whole == (
+        "As a whole: no, because of the coefficients of y. What concerns z may be misread, too: see the findings."
+    )
     assert "z: compare units." in verdict.advice
     steps = next_steps(case_of(known_model()), verdict)
     assert [(step.what, step.command) for step in steps[:1]] == [("Compare units.", "")]

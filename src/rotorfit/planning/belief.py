@@ -18,6 +18,7 @@ from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.core.limits import Meaning, expectation, meaning_of
 from rotorfit.core.model import (
     COEFFICIENTS,
+    FROZEN,
     MEND,
     NORMAL,
     STRUCTURE,
@@ -261,6 +262,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
         )
     rates = pose_rates(model, known)
     notes.append(_told_rate(rates))
+    wrong = [one for one in model.findings if one.severity == "error" and one.code != FROZEN]
+    notes[:0] = [f"this plan rests on numbers that must not be used: {one.evidence}; {one.remedy}" for one in wrong]
     if frozen := frozen_axes(model.findings):
         notes.insert(0, f"{', '.join(frozen)}: {MEND}")
     covariance = _known_covariance(model, values.ravel(), covariance)

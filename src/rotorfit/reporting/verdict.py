@@ -187,7 +187,7 @@ GAPS = "use it to predict, but do not read the coefficients that are doubted one
 TOO_SURE = "an estimator that takes its noise for white is too sure: give it more"
 """Advice on coloured residuals, for a filter."""
 
-SHORT = "Enough to predict; gains that are tuned from them need more, as their standard errors exceed the targets"
+SHORT = "Enough to predict; tuned gains allow for the rest by being slower, as standard errors exceed the targets"
 """What is said of known coefficients that miss the targets of a controller."""
 
 GRAVITY = ("red", "grey", "open", "yellow", "green")
@@ -593,7 +593,7 @@ def _headline(lights: Sequence[Light]) -> str:
     told = "; ".join(parts)
     short = [light for light in lights if light.colour == "green" and light.missed]
     targets = and_list([f"{and_list([term_of(name) for name in light.missed])} of {light.axis}" for light in short])
-    beside = f" Not exact enough to tune a controller: {targets}." if short else ""
+    beside = f" Known too little for the fastest controller: {targets}." if short else ""
     return f"{told[:1].upper()}{told[1:]}.{beside}{missing}"
 
 
@@ -610,19 +610,21 @@ def _whole(
         return "Nothing can be predicted."
     now = next(use for use in together if use.horizon == horizon)
     lacking = [use for use in uses if use.horizon == horizon and use.answer == now.answer and use.axis in wanted]
-    named = and_list([use.axis for use in lacking])
+    named, misread = and_list([use.axis for use in lacking]), [use.axis for use in lacking if use.remedy]
     if now.answer == "missing":
         why = f": the fit left out {and_list(left_out)}" if left_out else ""
         return f"As a whole: no. There is no model of {named}, which can be commanded{why}."
-    if misread := and_list([use.axis for use in lacking if use.remedy]):
+    if forbidden := _because([light for light in lights if light.axis not in misread], "red"):
+        others = f" What concerns {and_list(misread)} may be misread, too: see the findings." if misread else ""
+        return f"As a whole: no, because of {forbidden}.{others}"
+    if misread:
         return (
-            f"As a whole: not proven. The flights were or may be misread in what concerns {misread}: see the findings."
+            f"As a whole: not proven. The flights were or may be misread in what concerns {and_list(misread)}: see the "
+            "findings."
         )
     if now.answer == "unproven":
         more = " What overlaps the training does not count." if any(u.reason == OVERLAPS for u in lacking) else ""
         return f"As a whole: not proven. No flight that was not fitted moves {named}, or not for long enough.{more}"
-    if forbidden := _because(lights, "red"):
-        return f"As a whole: no, because of {forbidden}."
     doubted, furthest = _because(lights, "yellow"), reach(together)
     answer = f"with care, because of {doubted}" if doubted else "yes"
     upto = f". The predictions are proven up to {furthest:g} s" if furthest else ""
