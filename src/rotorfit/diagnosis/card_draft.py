@@ -24,7 +24,9 @@ from rotorfit.diagnosis.draft_contents import (
     DraftContents,
     found_in,
     in_degrees,
+    in_frames,
     is_whole,
+    quarter_turns,
     readings,
     turned,
     with_pose,
@@ -46,6 +48,7 @@ from rotorfit.diagnosis.recognition import (
     is_stated,
     is_turned_up,
     is_up,
+    is_worded,
     poses_in,
     reference_in,
     windows_in,
@@ -122,7 +125,11 @@ def _velocity_lines(log: Log, found: DraftContents) -> list[str]:
         *([] if found.alone else ["# independent = true  # only where neither was made from the other"]),
         f'frame = "{found.velocity_frame}"  # "world", or "heading" where x and y are forward and left: check',
         _line(log, "time", velocity.time),
-        *(_line(log, axis, velocity.channels[axis]) for axis in "xyz" if axis in velocity.channels),
+        *(
+            _line(log, axis, velocity.channels[axis], found.remarks.get("velocity", ""))
+            for axis in "xyz"
+            if axis in velocity.channels
+        ),
         "",
     ]
 
@@ -454,7 +461,7 @@ def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
     found, told = asked.found, asked.answers
     if told is None or told.frame is None or "x" not in found.alone:
         return asked
-    other = _asked(log, replace(found, velocity_frame="world" if found.velocity_frame == "heading" else "heading"))
+    other = _asked(log, in_frames(found, velocity_frame="world" if found.velocity_frame == "heading" else "heading"))
     if other.answers is None:
         return asked
     allowed = BETTER if told.frame == "heading" else 1 / BETTER
@@ -476,9 +483,16 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
         said = (
             f"by the motion: in {here}, {', '.join(together)} would be turned; if it is {here}, give scale = -1 there"
         )
-        return _asked(log, replace(found, pose_frame=other, pose_remark=said))
+        return _asked(log, replace(in_frames(found, pose_frame=other), pose_remark=said))
     if found.alone:
         return asked
+    if is_worded(found.commands) and "yaw" in found.pose.channels:
+        turned_ = [_asked(log, one) for one in quarter_turns(found)]
+        right = [
+            one for one in turned_ if one.answers and not _odd(one.answers) and BETTER * one.answers.left < told.left
+        ]
+        if right:
+            return right[0]
     others = [_asked(log, one) for one in readings(found)]
     better = [one for one in others if one.answers and one.answers.left < CLEARER * told.left]
     least = min((one.answers.left for one in better if one.answers), default=0.0)

@@ -9,7 +9,9 @@ from rotorfit.core.card import Channel
 from rotorfit.core.log import Log
 from rotorfit.diagnosis.recognition import (
     Recognised,
+    climb_of_tello,
     commands_in,
+    is_ahead_and_left,
     is_compass,
     is_down,
     is_east_and_north,
@@ -71,12 +73,15 @@ def found_in(log: Log, pose: Recognised, guess: bool = True) -> DraftContents:
     if guess and not commands.channels and (named := velocities_as_commands(log, pose)).channels:
         commands, doubted = named, True
     velocity = velocity_in(log, commands, pose)
-    if is_of_tello(log, velocity) and not any(is_stated(log, channel) for channel in velocity.channels.values()):
-        dm = {axis: replace(channel, scale=10.0, unit="cm/s") for axis, channel in velocity.channels.items()}
-        velocity = replace(velocity, channels=dm)
-    of_velocity = "heading" if is_of_the_body(velocity) else "world"
     frame, remark = _pose_frame(log, velocity, pose)
     said = dict.fromkeys(pose.strays, "EDIT: named unlike the others, and perhaps of another sensor")
+    if is_of_tello(log, velocity) and not any(is_stated(log, channel) for channel in velocity.channels.values()):
+        rise = climb_of_tello(log, velocity)
+        scale = 10.0 if rise is None or abs(rise) > math.sqrt(10.0) else 1.0
+        read = {axis: replace(channel, scale=scale, unit="cm/s") for axis, channel in velocity.channels.items()}
+        velocity = replace(velocity, channels=read)
+        said["velocity"] = "dm/s, as a Tello has them: EDIT if they are cm/s" if rise is None else "by the height"
+    of_velocity = "heading" if is_of_the_body(velocity) else "world"
     if is_whole(pose) and re.search(r"\d\]?$", str(pose.channels["qw"].source)):
         said["qw"] = ORDER_GUESSED
     if "yaw" not in commands.channels and _is_beside_gaz(commands, pose):
@@ -84,7 +89,26 @@ def found_in(log: Log, pose: Recognised, guess: bool = True) -> DraftContents:
     if frame == "ENU" and is_east_and_north(pose) and is_compass(pose):
         pose = replace(pose, channels={**pose.channels, "yaw": from_y(pose.channels["yaw"])})
         said["yaw"] = "clockwise from north, by its name"
-    return DraftContents(commands, pose, velocity, "heading", of_velocity, frame, remark, said, doubted)
+    found = DraftContents(commands, pose, velocity, "heading", "world", frame, remark, said, doubted)
+    return in_frames(found, velocity_frame=of_velocity)
+
+
+def in_frames(found: DraftContents, **frames: str) -> DraftContents:
+    """The same draft with `pose_frame` or `velocity_frame` changed.
+
+    A card in NED turns the velocities of the world, but never those of the body: forward, right and down are turned
+    here, unless their names say forward and left.
+    """
+    other = replace(found, **frames)  # type: ignore[arg-type]
+    if _is_turned_here(other) == _is_turned_here(found):
+        return other
+    across = {axis: turned(channel) for axis, channel in found.velocity.channels.items() if axis in ("y", "z")}
+    return replace(other, velocity=replace(found.velocity, channels={**found.velocity.channels, **across}))
+
+
+def _is_turned_here(found: DraftContents) -> bool:
+    in_heading = found.pose_frame == "NED" and found.velocity_frame == "heading"
+    return in_heading and not is_ahead_and_left(found.velocity)
 
 
 def _is_beside_gaz(commands: Recognised, pose: Recognised) -> bool:
@@ -103,7 +127,7 @@ def _pose_frame(log: Log, velocity: Recognised, pose: Recognised) -> tuple[str, 
     """The frame of the pose according to names and format, and its remark."""
     if is_down(pose):
         return "NED", 'of the pose, by its names; "ENU" where z points up'
-    if is_of_tello(log, velocity):
+    if is_of_tello(log, velocity) and (climb_of_tello(log, velocity) or -1.0) < 0:
         return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
     table = pose.table or velocity.table
     kind = FORMATS.get(format_of(log, table) if table else log.format)
@@ -149,6 +173,15 @@ def _headings(found: DraftContents, asks: str) -> Iterator[DraftContents]:
     for why, reading in readings.items():
         if reading != yaw:
             yield with_pose(found, why, yaw=reading)
+
+
+def quarter_turns(found: DraftContents) -> Iterator[DraftContents]:
+    """The draft with a heading that is zero along another axis than x."""
+    yaw = found.pose.channels["yaw"]
+    for turn, where in ((90, "y"), (-90, "-y"), (180, "-x")):
+        more = float(turn) if yaw.unit == "deg" else round(math.radians(turn), 6)
+        why = f"0 along {where} by the motion and the names of the commands: EDIT if these or x and y are wrong"
+        yield with_pose(found, why, yaw=replace(yaw, offset=yaw.offset + more))
 
 
 def with_pose(found: DraftContents, why: str, **channels: Channel) -> DraftContents:

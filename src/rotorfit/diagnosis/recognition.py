@@ -68,6 +68,20 @@ _STICKS = {
     "yaw": "(?:rc_)?yv|rc_yaw|yaw_velocity",  # which alone may be measured
 }
 
+_CHANNEL = r"(?:rc_?|ch(?:an(?:nel)?)?_?\d_)"
+
+_WORDS = (
+    {"x": "forward|fwd", "y": "left|right", "z": "up|climb", "yaw": "turn|rotate|c?cw|yaw_rate"},
+    {
+        "x": f"{_CHANNEL}?(?:pitch|ele(?:vator)?)",
+        "y": f"{_CHANNEL}?(?:roll|ail(?:eron)?)",
+        "z": f"{_CHANNEL}?(?:throttle|thr)",
+        "yaw": f"{_CHANNEL}?rud(?:der)?|{_CHANNEL}yaw",  # a yaw alone may be the heading
+    },
+    {"x": "rc_?b", "y": "rc_?a", "z": "rc_?c", "yaw": "rc_?d"},  # a Tello's `rc a b c d`
+)
+"""Names of sticks without a word that means command: taken only where all four are there."""
+
 _PARROT = ({"x": "pitch", "y": "roll", "z": "gaz"}, {"x": "theta", "y": "phi", "z": "gaz"})
 """Names of commands in Parrot's SDKs: of ARSDK 3 (Bebop) and of the AR.Drone. Without gaz they are an attitude."""
 
@@ -93,7 +107,9 @@ _VELOCITIES = (
     {"x": "v(f)", "y": "v(l)", "z": "v(e|u)"},  # forward, left, up
 )
 
-_OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
+_AHEAD_AND_LEFT = "(?:^|_)(?:twist_twist|lin_?x|vf)"
+
+_OF_THE_BODY = f"body|{_AHEAD_AND_LEFT}"
 
 _REFERENCE = {axis: f"{_GOAL}_?{axis}|{axis}_?{_GOAL}" for axis in AXES}
 
@@ -243,18 +259,57 @@ def is_of_the_body(velocity: Recognised) -> bool:
 
     Source: nav_msgs/Odometry.msg.
     """
+    return _is_named(velocity, _OF_THE_BODY)
+
+
+def is_ahead_and_left(velocity: Recognised) -> bool:
+    """Whether the names say that a velocity of the body is forward, left and up, as in ROS."""
+    return _is_named(velocity, _AHEAD_AND_LEFT)
+
+
+def _is_named(velocity: Recognised, pattern: str) -> bool:
     names = (velocity.table or "", *(str(channel.source) for channel in velocity.channels.values()))
-    return any(re.search(_OF_THE_BODY, plain_name(name.rpartition(":")[2])) for name in names)
+    return any(re.search(pattern, plain_name(name.rpartition(":")[2])) for name in names)
 
 
 def is_of_tello(log: Log, velocity: Recognised) -> bool:
-    """Whether velocities are from the state packets of a Tello, whose z is down and whose velocities are in dm/s.
+    """Whether velocities are named as in the state packets of a Tello, whose z is down.
 
-    Source: the names of its SDK; the unit is what flights show.
+    Source: the names of its SDK.
     """
     table = log.tables.get(velocity.table or "")
     named = any(re.search(r"\bvg[xyz]$", str(channel.source)) for channel in velocity.channels.values())
     return named or (table is not None and "tof" in table.columns)
+
+
+def climb_of_tello(log: Log, velocity: Recognised) -> float | None:
+    """Rise of the height, which a Tello's state packets have in cm, over the integral of the vertical velocity.
+
+    Near -10 where this is down and in dm/s, as flights show, -1 where it is in cm/s; None where they do not tell.
+    """
+    table = log.tables.get(velocity.table or "")
+    height = next((name for name in ("h", "tof") if table is not None and name in table.columns), None)
+    if table is None or height is None or velocity.time is None or "z" not in velocity.channels:
+        return None
+    risen = column(log, Channel(source_of(log, table, height)))
+    series = (stamps_of(log, velocity.time) / 1e9, column(log, velocity.channels["z"]), risen)
+    if len({one.size for one in series}) > 1:
+        return None
+    time, speed, rise = np.array(series)[:, np.isfinite(series).all(axis=0)]
+    if time.size < 2 or not np.ptp(rise) or not np.ptp(speed):
+        return None
+    summed = np.concatenate([[0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)])
+    known = np.column_stack([summed, time - time[0], np.ones(time.size)])  # a bias of the velocity drifts
+    (slope, *_), left, rank, _ = np.linalg.lstsq(known, rise, rcond=None)
+    explained = 1 - float(left[0]) / float(np.sum((rise - rise.mean()) ** 2)) if rank == 3 and left.size else 0.0
+    return float(slope) if explained > 0.5 else None
+
+
+def is_worded(commands: Recognised) -> bool:
+    """Whether the names of the horizontal commands say forward and left or right."""
+    names = [plain_name(str(commands.channels[axis].source)) for axis in "xy" if axis in commands.channels]
+    said = ("forward|fwd|ahead", "left|right")
+    return len(names) == 2 and all(re.search(word, name) for word, name in zip(said, names, strict=True))
 
 
 def reference_in(log: Log, commands: Recognised) -> dict[str, Channel]:
@@ -363,8 +418,10 @@ def _with_unit_of_yaw(log: Log, pose: Recognised) -> Recognised:
     if pose.time is None or yaw is None or yaw.unit is not None or is_stated(log, yaw):
         return pose
     stamps, values = stamps_of(log, pose.time), column(log, yaw)
-    clean = increasing(stamps)[: len(values)] & np.isfinite(values[: len(stamps)])
-    if not degrees_for_radians(stamps[: len(values)][clean], values[: len(stamps)][clean]):
+    there = np.isfinite(values[: len(stamps)])  # rows of commands may share the stamps of those of poses
+    stamps, values = stamps[: len(values)][there], values[: len(stamps)][there]
+    clean = increasing(stamps)
+    if not degrees_for_radians(stamps[clean], values[clean]):
         return pose
     return replace(pose, channels={**pose.channels, "yaw": replace(yaw, unit="deg")})
 
@@ -403,6 +460,7 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
         families.append(_named(table, twist))
     if not any({"x", "y"} <= family.keys() for family in families):
         families.append(_of_parrot(table))
+        families += [found for words in _WORDS if len(found := _named(table, words)) == len(AXES)]
     found = max(families, key=len)
     return _named(table, {"z": "throttle", "yaw": "rudder"}) | found if {"x", "y"} <= found.keys() else found
 

@@ -42,6 +42,7 @@ from rotorfit.flights.stamps import (
     stamps_of,
     stray,
 )
+from rotorfit.flights.wild_poses import wild
 
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] above which the unit of their clock is taken to be missing."""
@@ -152,7 +153,8 @@ def poses_of(log: Log, card: Card) -> Stream:
             f"{log.path}: yaw jumps or turns as no vehicle can: degrees taken for radians? Write yaw = {{ from = "
             f'"{card.pose["yaw"].source}", unit = "deg" }} in [pose] of the card'
         )
-    return stream
+    strays = wild((stream.stamps - stream.stamps[0]) / 1e9, stream.values)
+    return keep_samples(stream, ~strays, "wild_poses", "lie where no vehicle can be a moment later: left out")
 
 
 def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:
