@@ -930,6 +930,75 @@ def test_a_draft_of_state_packets_of_a_tello_has_its_frame_and_its_decimetres(tm
     assert 'yaw = "cmd_yaw"  # + turns the vehicle counter-clockwise: ' in text
 
 
+@pytest.mark.parametrize("per_metre", [10, 100])
+def test_velocities_forward_right_and_down_are_turned_in_the_unit_that_the_height_tells(
+    per_metre: int, tmp_path: Path
+) -> None:
+    true = turning()
+    velocity = velocities_of(true, "heading")
+    columns = {"time": T, "yaw": np.round(-np.degrees(true["yaw"])), "h": np.round(100 * true["z"])}
+    columns |= {"vgx": per_metre * velocity["x"], "vgy": -per_metre * velocity["y"], "vgz": -per_metre * velocity["z"]}
+    sticks = {"stick_right": -COMMAND["y"], "stick_fwd": COMMAND["x"], "stick_up": COMMAND["z"]}
+    log = log_of(flight=columns | sticks | {"stick_yaw": -COMMAND["yaw"]})
+
+    card = loaded(draft_card(log), tmp_path)
+
+    assert (card.frame, card.velocity_frame) == ("NED", "heading")
+    assert [card.velocity[axis].scale for axis in "xyz"] == [1000 / per_metre / 10, *[-100 / per_metre] * 2]
+    assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
+        "x": ("stick_fwd", 1), "y": ("stick_right", -1), "z": ("stick_up", 1), "yaw": ("stick_yaw", -1)
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("turn", [0, 90, 180, 270])
+def test_a_heading_that_is_zero_along_another_axis_is_found_by_commands_that_say_forward_and_left(
+    turn: int, tmp_path: Path
+) -> None:
+    true = turning()
+    columns = {"t": T, **{f"marker_{axis}": true[axis] for axis in "xyz"}}
+    columns |= {"marker_yaw": np.degrees(true["yaw"]) - turn}
+    log = log_of(flight=columns | dict(zip(("forward", "left", "up", "turn"), COMMAND.values(), strict=True)))
+
+    card = loaded(draft_card(log), tmp_path)
+
+    assert (card.pose["yaw"].offset - turn) % 360 == 0
+    assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
+        "x": ("forward", 1), "y": ("left", 1), "z": ("up", 1), "yaw": ("turn", 1)
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("pitch", "roll", "throttle", "rudder"), ("elevator", "aileron", "throttle", "rudder"),
+        ("ch2_pitch", "ch1_roll", "ch3_throttle", "ch4_yaw"), ("rc_b", "rc_a", "rc_c", "rc_d"),
+    ],
+)  # fmt: skip
+def test_sticks_are_recognised_by_their_names_alone_where_all_four_are_there(names: tuple[str, ...]) -> None:
+    pose = {"time": T, **turning()}
+    sticks = dict(zip(names, COMMAND.values(), strict=True))
+
+    assert 'yaw = "yaw"' in draft_card(log_of(flight=pose | sticks))
+    assert f'x = "{names[0]}"' in draft_card(log_of(flight=pose | sticks))
+    if names[0] == "pitch":  # else it may be the attitude
+        del sticks["rudder"]
+        assert '"pitch"' not in draft_card(log_of(flight=pose | sticks))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.003])
+def test_a_heading_in_degrees_is_found_where_rows_of_commands_share_the_stamps_of_those_of_poses(late: float) -> None:
+    true, nothing = turning(), np.full(T.size, np.nan)
+    order = np.argsort(np.concatenate([T, T + late]), kind="stable")
+    columns = {"time": np.concatenate([T, T + late])}
+    columns |= {f"cmd_{axis}": np.concatenate([COMMAND[axis], nothing]) for axis in COMMAND}
+    pose = true | {"yaw": (90 - np.degrees(true["yaw"])) % 360}
+    columns |= {axis: np.concatenate([nothing, pose[axis]]) for axis in ("x", "y", "z", "yaw")}
+
+    text = draft_card(log_of(flight={name: values[order] for name, values in columns.items()}))
+
+    assert 'unit = "deg"' in text
+
+
 def test_a_draft_of_a_log_with_both_names_the_velocity_beside_the_position(tmp_path: Path) -> None:
     """That of an odometry is forward and left, and no Twist of commands."""
     true = turning()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from rotorfit.flights.wild_poses import wild
 
 TIME = np.arange(0.0, 20.0, 1 / 30) + 0.004 * np.random.default_rng(0).uniform(size=600)

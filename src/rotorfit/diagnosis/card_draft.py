@@ -472,7 +472,8 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
     """The draft with the pose read in the way that the motion supports.
 
     That is the other frame if it alone reverses several commands back, since both explain the same; else, among
-    readings that explain the motion clearly better, the one with the fewest commands that contradict their names.
+    readings that explain the motion clearly better, the one with the fewest commands that contradict their names; else
+    a heading that is zero along another axis, if that alone moves the vehicle as commands that say forward and left.
     """
     found, told = asked.found, asked.answers
     if told is None or (told.frame != "world" and not _odd(told)):
@@ -486,18 +487,17 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
         return _asked(log, replace(in_frames(found, pose_frame=other), pose_remark=said))
     if found.alone:
         return asked
-    if is_worded(found.commands) and "yaw" in found.pose.channels:
-        turned_ = [_asked(log, one) for one in quarter_turns(found)]
-        right = [
-            one for one in turned_ if one.answers and not _odd(one.answers) and BETTER * one.answers.left < told.left
-        ]
-        if right:
-            return right[0]
     others = [_asked(log, one) for one in readings(found)]
     better = [one for one in others if one.answers and one.answers.left < CLEARER * told.left]
     least = min((one.answers.left for one in better if one.answers), default=0.0)
     sound = [(_odd(one.answers), one) for one in better if one.answers and CLEARER * one.answers.left <= least]
-    return min(sound, key=lambda pair: pair[0])[1] if sound else asked
+    if sound:
+        return min(sound, key=lambda pair: pair[0])[1]
+    worded = is_worded(found.commands) and "yaw" in found.pose.channels
+    for other in (_asked(log, one) for one in quarter_turns(found)) if worded else ():
+        if other.answers and not _odd(other.answers) and BETTER * other.answers.left < told.left:
+            return other
+    return asked
 
 
 def _commanded(log: Log, asked: _Asked) -> _Asked:
