@@ -14,7 +14,7 @@ from rotorfit.control.tuning import DELAY_SHARE, PEAK, RESTLESS, tune
 from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import Finding, Severity
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Combination, Plain, first_order
+from rotorfit.core.model import Combination, Evidence, Model, Plain, Source, first_order
 from rotorfit.planning.axis_information import AxisBelief
 
 pytestmark = pytest.mark.flights
@@ -152,18 +152,49 @@ def test_noisy_poses_get_a_slower_filter() -> None:
     assert np.all(np.array(second.law.observer) < np.array(first.law.observer))
 
 
-def test_noise_of_the_command_is_in_per_cent_of_a_full_scale_that_the_card_gives_only() -> None:
-    told = {}
-    for name, card in (("given", demo_card()), ("unknown", demo_card(x='{ from = "u_x" }'))):
-        model = model_of(card=card)
-        noisy = replace(model, axes={**model.axes, "x": replace(model.axes["x"], noise={"pose_variance": 1e-6})})
-        told[name] = tune(noisy, axes=("x",), draws=DRAWN).axes["x"]
+def flown_with(largest: float | None) -> Model:
+    """A model of x under a card that does not say what its commands mean, flown with commands up to the largest."""
+    model = model_of(card=demo_card(x='{ from = "u_x" }'))
+    noisy = replace(model.axes["x"], noise={"pose_variance": 1e-6})
+    source = Source("flight.csv", "a" * 64, (0.0, 60.0), axes=("x",), commanded={"x": largest} if largest else {})
+    return replace(model, axes={**model.axes, "x": noisy}, flights=(source,))
 
-    assert told["given"].noise_text.endswith(" %")
-    assert told["given"].full_scale is not None
-    assert told["unknown"].full_scale is None
-    assert told["unknown"].noise is not None
-    assert float(told["unknown"].noise_text) == pytest.approx(told["unknown"].noise, rel=0.05)
+
+@pytest.mark.parametrize(("largest", "full"), [(None, 1.0), (0.8, 1.0), (90.0, 90.0)])
+def test_commands_are_cut_at_a_fraction_or_the_largest_flown_where_the_card_does_not_say_what_they_mean(
+    largest: float | None, full: float
+) -> None:
+    tuning = tune(flown_with(largest), axes=("x",), draws=DRAWN)
+    x = tuning.axes["x"]
+
+    assert x.full_scale == full
+    assert f"cut x at +-{full:g}" in tuning.note
+    assert x.noise_text == f"{100 * x.noise / full:.1f} %"
+    assert "cut" not in tune(model_of(card=demo_card()), axes=("x",), draws=DRAWN).note
+
+
+def test_noise_of_the_command_is_in_its_own_unit_where_commands_are_in_si_without_a_limit() -> None:
+    model = model_of(card=demo_card(x='{ from = "u_x", meaning = "velocity", unit = "m/s" }'))
+    noisy = replace(model, axes={**model.axes, "x": replace(model.axes["x"], noise={"pose_variance": 1e-6})})
+    x = tune(noisy, axes=("x",), draws=DRAWN).axes["x"]
+
+    assert x.full_scale is None
+    assert float(x.noise_text) == pytest.approx(x.noise, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("test", "said"),
+    [("bound", "the margins are not those of small motion: no more than 1 m/s^2; fit flights with commands too small"),
+     ("time", "the margins are those of the law, which the flights deny: no more than 1 m/s^2")],
+)  # fmt: skip
+def test_what_the_flights_say_against_the_law_is_said_of_its_margins(test: str, said: str) -> None:
+    model = model_of()
+    doubted = replace(model.axes["x"], evidence=(Evidence(test, "no more than 1 m/s^2", 1e-9, {}),))
+
+    tuned = tune(replace(model, axes={**model.axes, "x": doubted}), axes=("x", "y"), draws=DRAWN).axes
+
+    assert said in tuned["x"].note
+    assert "margins are" not in tuned["y"].note
 
 
 @pytest.mark.parametrize("code", ["delay_at_bound", "delay_negative", "unit_mistake"])

@@ -148,7 +148,9 @@ def excitation_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Ite
                 "warning",
                 share,
                 f"all coefficients of {name} are wide",
-                "fly larger or longer commands on this axis",
+                "fly longer on this axis, with commands too small to reach the limit that the flights show"
+                if any(one.test == "bound" for one in axis.evidence)
+                else "fly larger or longer commands on this axis",
                 name,
             )
     time = sum(flight.duration for flight in flights)

@@ -25,7 +25,6 @@ from rotorfit.control.robustness import (
     known_vehicle,
     robustness,
 )
-from rotorfit.core.card import Card
 from rotorfit.core.display import html_table, interval, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import WRONG_FRAME
@@ -34,7 +33,7 @@ from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.limits import meaning_of
 from rotorfit.core.model import COEFFICIENTS, MEND, Axis, Model, first_order, pose_rates, unknown_why
-from rotorfit.core.plain import by_reason
+from rotorfit.core.plain import by_reason, listed
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale
@@ -78,7 +77,7 @@ class AxisTuning:
         margins: Margins around the model's estimate of the vehicle.
         robustness: Margins around the vehicles that the model considers possible.
         noise: Standard deviation of the command due to the noise of poses, in its own unit; None if the model has none.
-        full_scale: Largest command, in its own unit; None if the card gives none.
+        full_scale: Largest command, in its own unit; None for commands in SI to which the card gives no limit.
         note: Assumptions and warnings; empty if there are none.
     """
 
@@ -108,7 +107,8 @@ class Tuning:
         latency: Time from the exposure of a pose to the command that uses it [s].
         axes: Axis name to its gains and margins.
         refused: Axis name to the reason why it has none.
-        note: What the poses of the model's flights mean for the rate; empty if they came as often as commands.
+        note: What the poses of the model's flights mean for the rate, if they came less often than commands, and what
+            is assumed of the largest commands.
     """
 
     kind: Kind
@@ -187,7 +187,8 @@ def tune(
             tuned[axis] = found
     if not tuned:
         raise ModelError(f"no axis can be tuned: {by_reason(refused)}")
-    return Tuning(kind, rate, latency, tuned, refused, rate_note(model, rate, asked, axes))
+    notes = rate_note(model, rate, asked, axes), _scale_note(model, tuned)
+    return Tuning(kind, rate, latency, tuned, refused, "; ".join(filter(None, notes)))
 
 
 def rate_of(model: Model, axes: Collection[str] = AXES) -> float:
@@ -210,9 +211,10 @@ def rate_note(model: Model, rate: float, asked: bool, axes: Collection[str] = AX
         axes: The axes of the gains.
     """
     fewest = min(pose_rates(model, axes), default=math.inf)
-    seen = f"the model's flights had {fewest:.2g} fresh poses a second, and the margins are of a loop"
+    known = f"{float(f'{fewest:.2g}'):g}" if math.isfinite(fewest) else ""  # 100, not 1e+02
+    seen = f"the model's flights had {known} fresh poses a second, and the margins are of a loop"
     if fewest < FEWER * rate:
-        remedy = f"tune with --rate {fewest:.2g}" if fewest >= RATES[0] else "they do not hold"
+        remedy = f"tune with --rate {known}" if fewest >= RATES[0] else "they do not hold"
         return f"{seen} that gets {rate:g}, one for each command: if yours gets as few as those flights, {remedy}"
     if asked or rate == RATE:
         return ""
@@ -274,9 +276,10 @@ def _fastest(
         else:
             continue
         noise = _command_noise(model, axis, law, own)
-        restless = noise is not None and noise > RESTLESS * full_scale(model.card, axis)
-        note = _note(model, axis, law)
-        quietest = AxisTuning(law, bandwidth, margins(law, own), known, noise, _given_scale(model.card, axis), note)
+        scale = _full_scale(model, axis)
+        restless = noise is not None and noise > RESTLESS * scale
+        note, largest = _note(model, axis, law), scale if math.isfinite(scale) else None
+        quietest = AxisTuning(law, bandwidth, margins(law, own), known, noise, largest, note)
         if not restless:
             break
         told = f"noise of the poses moves the command by {quietest.noise_text}: filter the poses"
@@ -316,10 +319,30 @@ def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: LoopVehicle) 
     return float(np.sqrt(variance * solve_discrete_lyapunov(M, np.outer(B, B))[command, command]))
 
 
-def _given_scale(card: Card, axis: str) -> float | None:
-    """Largest command of an axis as the card gives it; None where it says neither what a command means nor a limit."""
-    scale = full_scale(card, axis)
-    return scale if meaning_of(card, axis).asked is not None and np.isfinite(scale) else None
+def _full_scale(model: Model, axis: str) -> float:
+    """Largest command of an axis; infinite where commands are in SI without a limit.
+
+    Where the card does not say what a command means it is a fraction, unless larger ones were flown.
+    """
+    if meaning_of(model.card, axis).asked is not None:
+        return full_scale(model.card, axis)
+    return max([1.0, *(one.commanded.get(axis, 0.0) for one in model.flights)])
+
+
+def _scale_note(model: Model, axes: Mapping[str, AxisTuning]) -> str:
+    """What is assumed of the largest commands; empty where the card tells what each of them means."""
+    assumed = {
+        axis: f"{axis} at +-{one.full_scale:.4g}"
+        for axis, one in axes.items()
+        if meaning_of(model.card, axis).asked is None
+    }
+    if not assumed:
+        return ""
+    return (
+        f"the card does not say what a full command is: cut {listed(list(assumed.values()))}, a fraction of full scale "
+        f"or, above 1, the largest that was flown; give {listed(list(assumed))} of [command] a full_scale or a unit if "
+        "that is wrong"
+    )
 
 
 def _note(model: Model, axis: str, law: AxisLaw) -> str:
@@ -341,9 +364,11 @@ def _note(model: Model, axis: str, law: AxisLaw) -> str:
         notes.append(f"gains of the first-order law with a delay, margins {whose} of {structure.name}")
         notes += _beside_the_model(known, law)
     status = beside.status if beside and structure != FIRST_ORDER_DELAY else known.status
+    status = {name: "refuted" if known.status[name] == "refuted" else status[name] for name in COEFFICIENTS}
     if unknown := [name for name in COEFFICIENTS[:2] if status[name] != "ok"]:
         said = " and ".join(f"{name} ({status[name].replace('_', ' ')})" for name in unknown)
         notes.append(f"the model does not know {said}: tuned for the values that predict best, with margins for others")
+    notes += _denied(known)
     if known.delay is None and f"{axis}.delay" not in model.covariance_names:
         notes.append(
             f"the delay is not known: the law looks ahead by none, its margins are for {DELAY[0]:g} +- {DELAY[1]:g} s"
@@ -353,6 +378,17 @@ def _note(model: Model, axis: str, law: AxisLaw) -> str:
             f"the delay of the model is {delay:.2g} s, but no vehicle moves before its command: tuned for none"
         )
     return "; ".join(notes)
+
+
+def _denied(known: Axis) -> list[str]:
+    """What the flights say against the law of an axis: margins are of vehicles that obey it."""
+    told = {one.test: one.strength for one in known.evidence}
+    if "bound" in told:
+        return [
+            f"the margins are not those of small motion: {told['bound']}; fit flights with commands too small to reach "
+            "that"
+        ]
+    return [f"the margins are those of the law, which the flights deny: {why}" for why in list(told.values())[:1]]
 
 
 def _beside_the_model(known: Axis, law: AxisLaw) -> list[str]:

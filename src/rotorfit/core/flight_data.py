@@ -287,6 +287,11 @@ class Flight:
         return tuple(a for k, a in enumerate(AXES) if a in self.axes and bool(np.any(self.command[:, k])))
 
     @property
+    def commanded(self) -> dict[str, float]:
+        """Largest command of each axis that is moved, in the unit of the card."""
+        return {axis: float(np.abs(self.command[:, AXES.index(axis)]).max()) for axis in self.moved}
+
+    @property
     def duration(self) -> float:
         """Total length of the segments [s]."""
         return float(np.sum([segment.end - segment.start for segment in self.segments]))

@@ -359,6 +359,7 @@ class Source:
         axes: The axes that it was used for.
         landmarks: Some of its poses, by which it is recognised in another file, see `flights.distinct`.
         pose_rate: Its fresh poses a second [Hz]; None in old files.
+        commanded: Largest command of each of its axes, in the unit of the card; empty in old files.
     """
 
     path: str
@@ -368,6 +369,7 @@ class Source:
     axes: tuple[str, ...] = ()
     landmarks: tuple[tuple[float, ...], ...] = ()
     pose_rate: float | None = None
+    commanded: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

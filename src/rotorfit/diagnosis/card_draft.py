@@ -494,9 +494,9 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
     if sound:
         return min(sound, key=lambda pair: pair[0])[1]
     worded = is_worded(found.commands) and "yaw" in found.pose.channels
-    for other in (_asked(log, one) for one in quarter_turns(found)) if worded else ():
-        if other.answers and not _odd(other.answers) and BETTER * other.answers.left < told.left:
-            return other
+    for turned_ in (_asked(log, one) for one in quarter_turns(found)) if worded else ():
+        if turned_.answers and not _odd(turned_.answers) and BETTER * turned_.answers.left < told.left:
+            return turned_
     return asked
 
 

@@ -265,7 +265,9 @@ def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Foun
         paper=tuple(float(g) if np.isfinite(g) else None for g in paper.gamma),
         paper_noise=_paper_noise(flights, tuple(found.axes), paper),
         findings=(),
-        flights=tuple(Source(f.path, f.sha256, f.span, f.notes, f.moved, landmarks(f), f.pose_rate) for f in flights),
+        flights=tuple(
+            Source(f.path, f.sha256, f.span, f.notes, f.moved, landmarks(f), f.pose_rate, f.commanded) for f in flights
+        ),
     )
 
 

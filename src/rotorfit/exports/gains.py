@@ -9,8 +9,7 @@ from typing import Any
 from rotorfit.control.control_law import AxisLaw
 from rotorfit.control.tuning import AxisTuning, Tuning
 from rotorfit.core.errors import ModelError
-from rotorfit.core.frames import AXES
-from rotorfit.core.limits import WORLD_COMMANDS, CommandMeaning, command_of
+from rotorfit.core.limits import WORLD_COMMANDS, command_of
 from rotorfit.core.model import Model
 from rotorfit.core.plain import check_finite, plain_toml, shown
 from rotorfit.core.writing import check_folder, write_whole
@@ -59,7 +58,7 @@ UNITS: Mapping[str, str] = {
     "input": "m/s^2 (yaw: rad/s^2) per unit of the command",
     "damping": "1/s",
     "delay": "s, from the command until the motion answers",
-    "full_scale": "largest command, in its own unit; left out where the card does not tell it",
+    "full_scale": "largest command, in its own unit; left out where the card gives commands in SI and no limit",
     "stiffness": "1/s^2",
     "rate_gain": "1/s",
     "integral": "1/s^3",
@@ -89,7 +88,7 @@ def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
         "latency": tuning.latency,
         "note": tuning.note or None,
         "units": dict(UNITS),
-        "axes": {axis: _axis(tuning.axes[axis], command_of(model.card, axis)) for axis in AXES if axis in tuning.axes},
+        "axes": {axis: _axis(one, command_of(model.card, axis).text) for axis, one in tuning.axes.items()},
         "refused": dict(tuning.refused),
         "model": {
             "card": model.card.name,
@@ -100,11 +99,11 @@ def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
     }
 
 
-def _axis(one: AxisTuning, command: CommandMeaning) -> dict[str, Any]:
+def _axis(one: AxisTuning, command: str) -> dict[str, Any]:
     law, around, believed = one.law, one.margins, one.robustness
     return {
-        "command": command.text,
-        "full_scale": command.limit,
+        "command": command,
+        "full_scale": one.full_scale,
         "bandwidth": one.bandwidth,
         "input": law.input,
         "damping": law.damping,

@@ -119,9 +119,9 @@ def _paper_mapping(model: Model) -> dict[str, Any]:
 
 
 def _source_mapping(source: Source) -> dict[str, Any]:
-    """A flight as plain types; old models have no landmarks and no rate of the poses."""
+    """A flight as plain types; old models have no landmarks, rate of the poses or largest commands."""
     raw = asdict(source)
-    for name in ("landmarks", "pose_rate"):
+    for name in ("landmarks", "pose_rate", "commanded"):
         if not raw[name]:
             del raw[name]
     return raw
@@ -233,6 +233,10 @@ def _model(read: _ModelFile, raw: Mapping[str, Any], where: str) -> Model:
     for i, flight in enumerate(read.flights):
         if flight.pose_rate is not None and flight.pose_rate <= 0:
             raise ValueError(f"{place_of(('flights', i, 'pose_rate'))}: must be above 0, not {flight.pose_rate:g}")
+        for name, largest in flight.commanded.items():
+            if name not in AXES or not largest > 0:
+                place = place_of(("flights", i, "commanded", name))
+                raise ValueError(f"{place}: must be an axis with its largest command, above 0, not {largest:g}")
     return Model(
         card=card_from_mapping(read.card, where),
         structure=read.structure,
