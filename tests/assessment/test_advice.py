@@ -259,6 +259,9 @@ def test_a_gain_known_to_no_better_than_a_fifth_is_weakly_excited() -> None:
     weak = changed(well(), stderr={**axis.stderr, "input": 0.3 * axis.input})
 
     assert "30 %" in found(weak)["weak_excitation", "z"].evidence
+    assert "fly larger" in found(weak)["weak_excitation", "z"].remedy
+    limited = changed(weak, evidence=(Evidence("bound", "no more than 1 m/s^2", 1e-9, {}),))
+    assert "too small to reach the limit" in found(limited)["weak_excitation", "z"].remedy
     traded = found(changed(weak, extra={"lag": 0.2}))
     assert ("weak_excitation", "z") not in traded
     assert "known to 30 % only, its steady gain to" in traded["parts_trade_off", "z"].evidence

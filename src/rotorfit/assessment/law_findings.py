@@ -91,7 +91,9 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
 def _law(axis: Axis) -> str:
     """The law to fit next: the one that has what is missing, if it is known; empty where none of the structures has."""
     tests = {one.test for one in axis.evidence}
-    return "quadratic_drag" if "drag" in tests else "" if "twice" in tests else "auto"
+    if "drag" in tests and "size" not in tests:
+        return "quadratic_drag"
+    return "" if "twice" in tests else "auto"  # commands that saturate look like drag, too: `auto` tries both
 
 
 def _flights(axis: Axis, otherwise: str) -> str:
