@@ -190,7 +190,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Air:
-    """Mean wind over the last half minute, where commands are tilts and damping is drag.
+    """Mean wind over the last 40 s, where commands are tilts and damping is drag.
 
     speed: Wind speed [m/s].
     speed_ci95: Its 95 % interval [m/s].
@@ -228,8 +228,8 @@ class Alarm:
         axes: The axes that changed.
         cause: Probable cause.
         since: 95 % interval of the time of the change [s].
-        change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay` and `trim`, and where the
-            vehicle is another one for `lag`, `zero` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty
+        change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay`, `zero` and `trim`, and
+            where the vehicle is another one for `lag` and `total_lag`, of the difference [s, m/s^2 or rad/s^2]. Empty
             until it is revised.
         confidence: Share of the evidence for this cause among all that were compared.
         p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
