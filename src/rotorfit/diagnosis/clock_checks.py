@@ -128,6 +128,9 @@ REPEATED_SHARE = 0.6
 """Share of rows that change the command below which rows repeat it; a controller at the rate of the rows changes it in
 nearly every row."""
 
+SELDOM = 0.15
+"""Median step between commands [s] above which nothing streams them: they are logged when they change."""
+
 LATENESS = 0.002
 """Mean lateness of a change of the command above which it is reported [s]."""
 
@@ -151,7 +154,8 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
         yield from _by_row(flight)
     else:
         effect = "if they are stamps of arrival, the delay comes out wide or biased"
-        yield from _jitter("command", commands, flight, effect)
+        if not _as_they_change(flight):
+            yield from _jitter("command", commands, flight, effect)
     yield from _jitter(
         "pose", poses, flight, "if they are stamps of arrival, speed times jitter is added to every pose"
     )
@@ -220,6 +224,12 @@ def _holes(flight: Flight, start: float, end: float) -> Array:
     steps = np.diff(time)
     limit = max(POSE_HOLE, (GAP_PERIODS + GAP_TOLERANCE) * float(np.median(steps))) if steps.size else POSE_HOLE
     return steps[steps > limit]
+
+
+def _as_they_change(flight: Flight) -> bool:
+    """Whether commands were logged when they changed: seldom, and none is like the one before."""
+    seldom = flight.command_time.size > 1 and float(np.median(np.diff(flight.command_time))) > SELDOM
+    return seldom and float(np.mean(np.any(np.diff(flight.command, axis=0) != 0, axis=1))) > 0.98
 
 
 def _jitter(what: str, stamps: Stamps, flight: Flight, effect: str) -> Iterator[Finding]:
