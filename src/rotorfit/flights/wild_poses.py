@@ -60,19 +60,24 @@ def _astray_beside_gaps(time: Array, pose: Array, noise: Array) -> Indices:
     """Which poses beside a gap, or at an end, are off the line through the next ones, or the last ones before it."""
     step = np.diff(time)
     apart = np.concatenate([[True], step > GAP * np.median(step), [True]])  # before each pose, and after the last
-    found = []
-    for edge in np.flatnonzero(apart):
-        for at, way in ((edge - 1, -1), (edge, 1)):
-            beyond = at + way * np.arange(1, BESIDE + 1)
-            inner = apart[min(at, beyond[-1]) + 1 : max(at, beyond[-1]) + 1]
-            if not (0 <= at < len(time) and 0 <= beyond[-1] < len(time)) or np.any(inner):
-                continue
-            since = time[beyond] - time[at]
-            heading = np.unwrap(pose[beyond, 3])
-            line = np.polynomial.polynomial.polyfit(since, np.column_stack([pose[beyond, :3], heading]), 1)[0]
-            by = pose[at] - line
-            turn = abs((by[3] + np.pi) % (2 * np.pi) - np.pi)
-            off = np.array([np.linalg.norm(by[:3]), turn])
-            if np.any(off > FLOOR + 2 * noise + SUDDEN * since[-1] ** 2 / 2):  # the line errs by more than a median
-                found.append(at)
-    return np.array(found, dtype=np.int64)
+    edge = np.flatnonzero(apart)
+    at, way = np.concatenate([edge[:-1], edge[1:] - 1]), np.repeat([1, -1], edge.size - 1)
+    beyond = at[:, None] + way[:, None] * np.arange(1, BESIDE + 1)
+    inside = (beyond >= 0) & (beyond < len(time))
+    crossed = apart[np.clip(np.where(way[:, None] > 0, beyond, beyond + 1), 0, len(time))]
+    known = np.all(inside & ~crossed, axis=1)
+    at, beyond = at[known], beyond[known]
+    since = time[beyond] - time[at, None]
+    middle = since - since.mean(axis=1, keepdims=True)
+    share = 1 / BESIDE - since.mean(axis=1, keepdims=True) * middle / np.sum(middle**2, axis=1, keepdims=True)
+    off = pose[beyond] - pose[at, None]
+    off[:, :, 3] = _turn(off[:, :, 3] - off[:, :1, 3]) + _turn(off[:, :1, 3])
+    by = np.einsum("ij,ijk->ik", share, off)  # of the line, where the pose beside the gap is
+    away = np.column_stack([np.linalg.norm(by[:, :3], axis=1), np.abs(_turn(by[:, 3]))])
+    bound = FLOOR + 2 * noise + SUDDEN * since[:, -1:] ** 2 / 2  # a line errs by more than a median
+    return at[np.any(away > bound, axis=1)]
+
+
+def _turn(angle: Array) -> Array:
+    """The angle in [-pi, pi) [rad]."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
