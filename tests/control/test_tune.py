@@ -160,17 +160,32 @@ def flown_with(largest: float | None) -> Model:
     return replace(model, axes={**model.axes, "x": noisy}, flights=(source,))
 
 
-@pytest.mark.parametrize(("largest", "full"), [(None, 1.0), (0.8, 1.0), (90.0, 90.0)])
+@pytest.mark.parametrize(("largest", "full"), [(0.8, 1.0), (90.0, 90.0)])
 def test_commands_are_cut_at_a_fraction_or_the_largest_flown_where_the_card_does_not_say_what_they_mean(
-    largest: float | None, full: float
+    largest: float, full: float
 ) -> None:
     tuning = tune(flown_with(largest), axes=("x",), draws=DRAWN)
     x = tuning.axes["x"]
 
     assert x.full_scale == full
-    assert f"cut x at +-{full:g}" in tuning.note
+    assert f"x: cut at +-{full:g}" in tuning.note
     assert x.noise_text == f"{100 * x.noise / full:.1f} %"
     assert "cut" not in tune(model_of(card=demo_card()), axes=("x",), draws=DRAWN).note
+
+
+def test_commands_of_the_world_are_larger_along_the_heading() -> None:
+    model = flown_with(1.3)
+
+    turned = tune(replace(model, card=replace(model.card, command_frame="world")), axes=("x",), draws=DRAWN)
+
+    assert turned.axes["x"].full_scale == 1.0
+
+
+def test_a_model_that_does_not_hold_what_was_flown_cuts_nothing_and_says_so() -> None:
+    tuning = tune(flown_with(None), axes=("x",), draws=DRAWN)
+
+    assert tuning.axes["x"].full_scale is None
+    assert "x: not cut, as the model does not hold what was flown" in tuning.note
 
 
 def test_noise_of_the_command_is_in_its_own_unit_where_commands_are_in_si_without_a_limit() -> None:

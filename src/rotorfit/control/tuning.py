@@ -285,8 +285,8 @@ def _fastest(
             continue
         noise = _command_noise(model, axis, law, own)
         scale = _full_scale(model, axis)
-        restless = noise is not None and noise > RESTLESS * scale
         largest = scale if math.isfinite(scale) else None
+        restless = noise is not None and noise > RESTLESS * (largest or full_scale(model.card, axis))
         alone = doubt([own], period, latency, possible.seed)
         faster = law_of_bandwidth(kind, vehicle, SLOWED * bandwidth, period, latency, filter_time)
         slowed = [SLOWER] if bandwidth * SLOWED <= BANDWIDTHS[1] and _kept(faster, alone, peak) else []
@@ -337,29 +337,34 @@ def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: LoopVehicle) 
 
 
 def _full_scale(model: Model, axis: str) -> float:
-    """Largest command of an axis; infinite where commands are in SI without a limit.
+    """Largest command of an axis; infinite where commands are in SI without a limit, or where nobody tells.
 
     Where the card does not say what a command means it is a fraction, unless larger ones were flown.
     """
     if meaning_of(model.card, axis).asked is not None:
         return full_scale(model.card, axis)
-    return max([1.0, *(one.commanded.get(axis, 0.0) for one in model.flights)])
+    flown = [one.commanded[axis] for one in model.flights if axis in one.commanded]
+    if not flown:  # by an older version
+        return math.inf
+    along = math.sqrt(2) if model.card.command_frame == "world" and axis in ("x", "y") else 1.0  # along the heading
+    return max(1.0, max(flown) / along)
 
 
 def _scale_note(model: Model, axes: Mapping[str, AxisTuning]) -> str:
     """What is assumed of the largest commands; empty where the card tells what each of them means."""
-    assumed = {
-        axis: f"{axis} at +-{one.full_scale:.4g}"
-        for axis, one in axes.items()
-        if meaning_of(model.card, axis).asked is None
+    unsaid = [axis for axis in axes if meaning_of(model.card, axis).asked is None]
+    cut = {
+        axis: "not cut, as the model does not hold what was flown"
+        if (largest := axes[axis].full_scale) is None
+        else f"cut at +-{largest:.4g}, the largest that was flown"
+        if largest > 1
+        else "cut at +-1, as fractions are"
+        for axis in unsaid
     }
-    if not assumed:
+    if not cut:
         return ""
-    return (
-        f"the card does not say what a full command is: cut {listed(list(assumed.values()))}, a fraction of full scale "
-        f"or, above 1, the largest that was flown; give {listed(list(assumed))} of [command] a full_scale or a unit if "
-        "that is wrong"
-    )
+    wanted = f"give {listed(unsaid)} of [command] a full_scale or a unit if that is wrong"
+    return f"the card does not say what a full command is: {by_reason(cut)}; {wanted}"
 
 
 def _note(model: Model, axis: str, law: AxisLaw) -> str:

@@ -493,7 +493,7 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
     sound = [(_odd(one.answers), one) for one in better if one.answers and CLEARER * one.answers.left <= least]
     if sound:
         return min(sound, key=lambda pair: pair[0])[1]
-    worded = is_worded(found.commands) and "yaw" in found.pose.channels
+    worded = is_worded(found.commands) and "yaw" in found.pose.channels and told.frame != "world"
     for turned_ in (_asked(log, one) for one in quarter_turns(found)) if worded else ():
         if turned_.answers and not _odd(turned_.answers) and BETTER * turned_.answers.left < told.left:
             return turned_

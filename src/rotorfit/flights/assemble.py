@@ -29,6 +29,7 @@ from rotorfit.flights.recordings import longest_recording
 from rotorfit.flights.several_files import bound
 from rotorfit.flights.stamps import Stamps, median_period, stamps_of
 from rotorfit.flights.streams import Stream, closed, commands_of, keep_samples, poses_of, reference_of
+from rotorfit.flights.wild_poses import unwrapped
 
 LEAST = 1.0
 """Time for which a command must have no response [s]: delays of velocity-commanded vehicles are below half of it."""
@@ -180,7 +181,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     acting = (commands.stamps >= begin) & (commands.stamps < finish)
 
     pose_time, heading = (poses.stamps[seen] - origin) / 1e9, poses.values[seen, 3]
-    yaw = np.unwrap(heading)
+    yaw = unwrapped(pose_time, heading)
     command_time, command = (commands.stamps[acting] - origin) / 1e9, commands.values[acting]
     command_end = np.minimum((commands.until[acting] - origin) / 1e9, stop)
     segments = _segments(command_time, command_end)

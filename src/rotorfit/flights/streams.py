@@ -42,7 +42,7 @@ from rotorfit.flights.stamps import (
     stamps_of,
     stray,
 )
-from rotorfit.flights.wild_poses import wild
+from rotorfit.flights.wild_poses import RARE, wild
 
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] above which the unit of their clock is taken to be missing."""
@@ -153,8 +153,18 @@ def poses_of(log: Log, card: Card) -> Stream:
             f"{log.path}: yaw jumps or turns as no vehicle can: degrees taken for radians? Write yaw = {{ from = "
             f'"{card.pose["yaw"].source}", unit = "deg" }} in [pose] of the card'
         )
+    return _without_wild_poses(stream)
+
+
+def _without_wild_poses(stream: Stream) -> Stream:
+    """The poses without the wild ones; all of them, with a note, where these are not rare."""
     strays = wild((stream.stamps - stream.stamps[0]) / 1e9, stream.values)
-    return keep_samples(stream, ~strays, "wild_poses", "lie where no vehicle can be a moment later: left out")
+    why = "lie where no vehicle can be a moment later"
+    if np.mean(strays) <= RARE:
+        return keep_samples(stream, ~strays, "wild_poses", f"{why}: left out")
+    count = int(np.sum(strays))
+    text = f"{count} of {len(strays)} poses {why}: too many to be left out; check units, or --method robust"
+    return replace(stream, notes=(*stream.notes, Note("wild_poses_kept", text, count)))
 
 
 def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:

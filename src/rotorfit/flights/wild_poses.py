@@ -4,12 +4,17 @@ Markers that are taken for each other, reflections and flips of a tag make them.
 than a second of flight, and a heading that flips by half a turn makes the unwrapped heading lose a whole one.
 """
 
+from itertools import combinations, pairwise
+
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices, Mask
 
 BESIDE = 3
-"""Number of poses on either side whose median a pose is compared with: as many in a row can be wild."""
+"""Largest number of poses on either side whose median a pose is compared with: as many in a row can be wild."""
+
+NEXT = 5
+"""Number of poses through which a line is drawn towards one beside a gap or at an end."""
 
 GAP = 5.0
 """Period, over the usual one, across which poses are not compared."""
@@ -23,7 +28,13 @@ SUDDEN = np.array([60.0, 20.0])
 SIGMAS = 10.0
 """Robust standard deviations within which a pose is noisy, not wild."""
 
-RARE = 0.05
+SPINNING = np.pi / 4
+"""Turn from pose to pose [rad] above which the median heading of seven is none."""
+
+FLIP, BACK = np.radians(150.0), 1.0
+"""Least step of a heading that flips by half a turn [rad], and the longest time until it flips back [s]."""
+
+RARE = 0.1
 """Largest share of the poses that can be wild: where more are, the unit is wrong, or the sensor is noisy in bursts."""
 
 
@@ -31,51 +42,100 @@ def wild(time: Array, pose: Array) -> Mask:
     """Which poses are wild.
 
     Motion at a steady speed leaves the median of the poses around on the pose, and one that turns back as hard as a
-    vehicle can no further than its acceleration allows within their time. The pose beside a gap is compared with the
-    line through those on its other side.
+    vehicle can no further than its acceleration allows. The pose beside a gap is compared with a line through those on
+    its other side. Both are repeated without the poses that were found, which may have hidden others.
 
     Args:
         time: Stamps, ascending, shape (N,) [s].
         pose: x, y, z [m] and heading, wrapped or not [rad], shape (N, 4).
 
     Returns:
-        Shape (N,); none where they would not be rare.
+        Shape (N,), rare or not: see `RARE`.
     """
+    left = np.arange(len(time))
+    for _ in range(BESIDE):
+        away = _away(time[left], pose[left])
+        left = left[~away]
+        if not np.any(away):
+            break
+    return np.isin(np.arange(len(time)), left, invert=True)
+
+
+def _away(time: Array, pose: Array) -> Mask:
+    """Which poses are away from the median of those around, or, beside a gap, from the line through the next ones."""
+    away = np.zeros(len(time), bool)
     if len(time) < 2 * BESIDE + 1:
-        return np.zeros(len(time), bool)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(np.arange(len(time)), BESIDE, mode="edge"), 2 * BESIDE + 1)
-    place = np.linalg.norm([one - np.median(one[around], axis=1) for one in pose[:, :3].T], axis=0)
-    by = pose[around, 3] - pose[:, 3, None]
-    turn = np.abs(np.arctan2(np.median(np.sin(by), axis=1), np.median(np.cos(by), axis=1)))  # half a turn has no sign
-    off = np.column_stack([place, turn])
-    noise = SIGMAS * 1.4826 * np.median(off, axis=0)
-    reach = np.maximum(time[around[:, -1]] - time, time - time[around[:, 0]])
-    away = np.any(off > FLOOR + noise + SUDDEN * reach[:, None] ** 2 / 2, axis=1)
-    sound = np.flatnonzero(~away)
-    away[sound[_astray_beside_gaps(time[sound], pose[sound], noise)]] = True
-    return np.asarray(away & (np.mean(away) <= RARE))
-
-
-def _astray_beside_gaps(time: Array, pose: Array, noise: Array) -> Indices:
-    """Which poses beside a gap, or at an end, are off the line through the next ones, or the last ones before it."""
+        return away
     step = np.diff(time)
     apart = np.concatenate([[True], step > GAP * np.median(step), [True]])  # before each pose, and after the last
+    piece = np.cumsum(apart[:-1])
+    steps = np.pad(np.abs(_turn(np.diff(pose[:, 3]))), BESIDE, mode="edge")
+    turning = np.partition(np.lib.stride_tricks.sliding_window_view(steps, 2 * BESIDE), 2, axis=1)[
+        :, 2
+    ]  # of a wild one
+    noise = np.zeros(2)
+    for beside in range(1, BESIDE + 1):
+        around = np.lib.stride_tricks.sliding_window_view(np.arange(len(time)), 2 * beside + 1)
+        own = around[:, beside]
+        place = [one[own] - np.median(one[around], axis=1) for one in pose[:, :3].T]
+        off = np.column_stack([np.linalg.norm(place, axis=0), np.abs(_median_turn(pose[around, 3], pose[own, 3]))])
+        off[:, 1] *= turning[own] < SPINNING
+        noise = SIGMAS * 1.4826 * np.median(off, axis=0)
+        reach = np.maximum(time[around[:, -1]] - time[own], time[own] - time[around[:, 0]])
+        swing = np.median(np.arange(-beside, beside + 1) ** 2) / beside**2 / 2  # of the median, at an acceleration of 1
+        beyond = np.any(off > FLOOR + noise + swing * SUDDEN * reach[:, None] ** 2, axis=1)
+        away[own] |= beyond & (piece[around[:, 0]] == piece[around[:, -1]])
+    away[_off_the_line(time, pose, apart, noise)] = True
+    return away
+
+
+def _off_the_line(time: Array, pose: Array, apart: Mask, noise: Array) -> Indices:
+    """Which poses beside a gap, or at an end, are off the line through the next ones, or the last ones before it."""
     edge = np.flatnonzero(apart)
     at, way = np.concatenate([edge[:-1], edge[1:] - 1]), np.repeat([1, -1], edge.size - 1)
-    beyond = at[:, None] + way[:, None] * np.arange(1, BESIDE + 1)
-    inside = (beyond >= 0) & (beyond < len(time))
+    beyond = at[:, None] + way[:, None] * np.arange(1, NEXT + 1)
     crossed = apart[np.clip(np.where(way[:, None] > 0, beyond, beyond + 1), 0, len(time))]
-    known = np.all(inside & ~crossed, axis=1)
+    known = np.all((beyond >= 0) & (beyond < len(time)) & ~crossed, axis=1)
     at, beyond = at[known], beyond[known]
     since = time[beyond] - time[at, None]
-    middle = since - since.mean(axis=1, keepdims=True)
-    share = 1 / BESIDE - since.mean(axis=1, keepdims=True) * middle / np.sum(middle**2, axis=1, keepdims=True)
     off = pose[beyond] - pose[at, None]
-    off[:, :, 3] = _turn(off[:, :, 3] - off[:, :1, 3]) + _turn(off[:, :1, 3])
-    by = np.einsum("ij,ijk->ik", share, off)  # of the line, where the pose beside the gap is
+    middle = _median_turn(pose[beyond, 3], pose[at, 3])
+    off[:, :, 3] = middle[:, None] + _turn(off[:, :, 3] - middle[:, None])
+    slopes = [(off[:, j] - off[:, i]) / (since[:, j] - since[:, i])[:, None] for i, j in combinations(range(NEXT), 2)]
+    speed = np.median(slopes, axis=0)
+    by = np.median(off - since[:, :, None] * speed[:, None], axis=1)  # of the line, where the pose beside the gap is
     away = np.column_stack([np.linalg.norm(by[:, :3], axis=1), np.abs(_turn(by[:, 3]))])
-    bound = FLOOR + 2 * noise + SUDDEN * since[:, -1:] ** 2 / 2  # a line errs by more than a median
-    return at[np.any(away > bound, axis=1)]
+    swing = 4 / NEXT**2  # of that line, at an acceleration of 1
+    return at[np.any(away > FLOOR + noise + swing * SUDDEN * since[:, -1:] ** 2, axis=1)]
+
+
+def unwrapped(time: Array, heading: Array) -> Array:
+    """The heading without jumps by a whole turn [rad].
+
+    One that flips by half a turn and back, as that of a tag seen at a slant, comes back to where it was: from pose to
+    pose alone it would end a whole turn further where it turns meanwhile.
+
+    Args:
+        time: Stamps, shape (N,) [s].
+        heading: Shape (N,) [rad].
+    """
+    out = np.unwrap(heading)
+    step = np.diff(out)
+    flips = np.flatnonzero(np.abs(step) > FLIP)
+    last = -1
+    for first, second in pairwise(flips):
+        if first == last or time[second + 1] - time[first] > BACK:
+            continue
+        last = second
+        turns = np.round((step[first] + step[second]) / (2 * np.pi))
+        out[second + 1 :] -= 2 * np.pi * turns
+    return np.asarray(out)
+
+
+def _median_turn(around: Array, own: Array) -> Array:
+    """Median of headings (N, K) around others (N,), from these on [rad]; half a turn has no sign, so by its sine."""
+    by = around - own[:, None]
+    return np.asarray(np.arctan2(np.median(np.sin(by), axis=1), np.median(np.cos(by), axis=1)))
 
 
 def _turn(angle: Array) -> Array:

@@ -89,7 +89,7 @@ def tuning_view(tuning: Tuning, card: Card) -> View:
         f"Of the model itself, then what 95 % of {draws.draws} vehicles drawn from its covariance keep (seed "
         f"{draws.seed}; none is unstable): gain: a factor, deg, s. peak: of the sensitivity; the delay margin must "
         f"be {DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, "
-        "% of full scale, or in its own unit where the card gives no full scale.",
+        "% of full scale, or in its own unit where there is none.",
         style="dim",
     )
     yield from bullets([tuning.note] if tuning.note else [])
