@@ -950,20 +950,21 @@ def test_velocities_forward_right_and_down_are_turned_in_the_unit_that_the_heigh
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(("side", "across"), [("left", 1), ("right", -1)])
 @pytest.mark.parametrize("turn", [0, 90, 180, 270])
 def test_a_heading_that_is_zero_along_another_axis_is_found_by_commands_that_say_forward_and_left(
-    turn: int, tmp_path: Path
+    turn: int, side: str, across: int, tmp_path: Path
 ) -> None:
     true = turning()
     columns = {"t": T, **{f"marker_{axis}": true[axis] for axis in "xyz"}}
     columns |= {"marker_yaw": np.degrees(true["yaw"]) - turn}
-    log = log_of(flight=columns | dict(zip(("forward", "left", "up", "turn"), COMMAND.values(), strict=True)))
+    sticks = {"forward": COMMAND["x"], side: across * COMMAND["y"], "up": COMMAND["z"], "turn": across * COMMAND["yaw"]}
 
-    card = loaded(draft_card(log), tmp_path)
+    card = loaded(draft_card(log_of(flight=columns | sticks)), tmp_path)
 
     assert (card.pose["yaw"].offset - turn) % 360 == 0
     assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
-        "x": ("forward", 1), "y": ("left", 1), "z": ("up", 1), "yaw": ("turn", 1)
+        "x": ("forward", 1), "y": (side, across), "z": ("up", 1), "yaw": ("turn", across)
     }  # fmt: skip
 
 

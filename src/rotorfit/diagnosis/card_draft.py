@@ -434,6 +434,11 @@ def _as_named(told: Answers) -> bool:
     return all(told.of[name].axis == name and told.of[name].sign > 0 for name in "xy" if name in told.of)
 
 
+def _ahead_and_left(told: Answers) -> bool:
+    """Whether x and y, commands of the vehicle, both clearly move it as named."""
+    return told.frame != "world" and {"x", "y"} <= told.of.keys() and _as_named(told)
+
+
 def _ahead(told: Answers) -> bool:
     """Whether x and y do not both move the vehicle backwards."""
     return not all(name in told.of and told.of[name].axis == name and told.of[name].sign < 0 for name in "xy")
@@ -493,9 +498,9 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
     sound = [(_odd(one.answers), one) for one in better if one.answers and CLEARER * one.answers.left <= least]
     if sound:
         return min(sound, key=lambda pair: pair[0])[1]
-    worded = is_worded(found.commands) and "yaw" in found.pose.channels and told.frame != "world"
+    worded = is_worded(found.commands) and "yaw" in found.pose.channels
     for turned_ in (_asked(log, one) for one in quarter_turns(found)) if worded else ():
-        if turned_.answers and not _odd(turned_.answers) and BETTER * turned_.answers.left < told.left:
+        if turned_.answers and _ahead_and_left(turned_.answers) and BETTER * turned_.answers.left < told.left:
             return turned_
     return asked
 

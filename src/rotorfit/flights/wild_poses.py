@@ -122,11 +122,11 @@ def unwrapped(time: Array, heading: Array) -> Array:
     out = np.unwrap(heading)
     step = np.diff(out)
     flips = np.flatnonzero(np.abs(step) > FLIP)
-    last = -1
+    last: int = -1
     for first, second in pairwise(flips):
         if first == last or time[second + 1] - time[first] > BACK:
             continue
-        last = second
+        last = int(second)
         turns = np.round((step[first] + step[second]) / (2 * np.pi))
         out[second + 1 :] -= 2 * np.pi * turns
     return np.asarray(out)
