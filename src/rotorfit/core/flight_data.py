@@ -288,7 +288,7 @@ class Flight:
 
     @property
     def commanded(self) -> dict[str, float]:
-        """Largest command of each axis that is moved, in the unit of the card."""
+        """Largest command of each axis that is moved, along the heading, in the unit of the card."""
         return {axis: float(np.abs(self.command[:, AXES.index(axis)]).max()) for axis in self.moved}
 
     @property

@@ -359,7 +359,7 @@ class Source:
         axes: The axes that it was used for.
         landmarks: Some of its poses, by which it is recognised in another file, see `flights.distinct`.
         pose_rate: Its fresh poses a second [Hz]; None in old files.
-        commanded: Largest command of each of its axes, in the unit of the card; empty in old files.
+        commanded: Largest command of each of its axes, along the heading, in the unit of the card; empty in old files.
     """
 
     path: str

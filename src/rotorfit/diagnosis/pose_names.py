@@ -9,7 +9,8 @@ from rotorfit.core.log import Table
 from rotorfit.flights.columns import clocks, name_without_unit, series_of
 
 _WHERE = (
-    "(?:(?:pose|transform|position|pos|translation|p|mocap|mc|vicon|optitrack|opt|lighthouse|marker|aruco|tag|apriltag|cam|camera|webcam|state|estimate|odom|drone|"
+    "(?:(?:pose|transform|position|pos|translation|p|mocap|mc|vicon|optitrack|opt|lighthouse|state|estimate|odom|drone|"
+    "marker|aruco|tag|apriltag|cam|camera|webcam|"
     "body|stabilizer|kalman_state(?!_p))_?)*"  # kalman.statePX is a velocity
 )
 

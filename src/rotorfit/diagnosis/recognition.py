@@ -291,11 +291,13 @@ def climb_of_tello(log: Log, velocity: Recognised) -> float | None:
     height = next((name for name in ("h", "tof") if table is not None and name in table.columns), None)
     if table is None or height is None or velocity.time is None or "z" not in velocity.channels:
         return None
-    risen = column(log, Channel(source_of(log, table, height)))
-    series = (stamps_of(log, velocity.time) / 1e9, column(log, velocity.channels["z"]), risen)
-    if len({one.size for one in series}) > 1:
+    stamps, speed = stamps_of(log, velocity.time), column(log, velocity.channels["z"])
+    rise = column(log, Channel(source_of(log, table, height)))
+    if not stamps.size == speed.size == rise.size:
         return None
-    time, speed, rise = np.array(series)[:, np.isfinite(series).all(axis=0)]
+    there = np.isfinite(speed) & np.isfinite(rise)
+    there[there] = increasing(stamps[there])
+    time, speed, rise = stamps[there] / 1e9, speed[there], rise[there]
     if time.size < 2 or not np.ptp(rise) or not np.ptp(speed):
         return None
     summed = np.concatenate([[0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)])
