@@ -13,8 +13,9 @@ from rotorfit.core.frames import Array, Indices, Mask
 BESIDE = 3
 """Largest number of poses on either side whose median a pose is compared with: as many in a row can be wild."""
 
-NEXT = 5
-"""Number of poses through which a line is drawn towards one beside a gap or at an end."""
+NEXT = (5, 7)
+"""Numbers of poses through which lines are drawn towards one beside a gap or at an end: fewer bound it more closely,
+more bear that the next two are wild, too."""
 
 GAP = 5.0
 """Period, over the usual one, across which poses are not compared."""
@@ -22,8 +23,12 @@ GAP = 5.0
 FLOOR = np.array([0.1, 0.2])
 """Distance from the poses around that is never wild, of position [m] and heading [rad]."""
 
-SUDDEN = np.array([60.0, 20.0])
+SUDDEN = np.array([30.0, 20.0])
 """Largest acceleration of a vehicle [m/s^2, rad/s^2]: about the vertical only the drag of its rotors turns it."""
+
+SWING = (0.5, 0.25, 2 / 9)
+"""Largest distance from the median of three, five and seven poses of a vehicle that turns back with an acceleration of
+1, at whatever speed, over the square of the time to the outermost."""
 
 SIGMAS = 10.0
 """Robust standard deviations within which a pose is noisy, not wild."""
@@ -82,18 +87,19 @@ def _away(time: Array, pose: Array) -> Mask:
         off[:, 1] *= turning[own] < SPINNING
         noise = SIGMAS * 1.4826 * np.median(off, axis=0)
         reach = np.maximum(time[around[:, -1]] - time[own], time[own] - time[around[:, 0]])
-        swing = np.median(np.arange(-beside, beside + 1) ** 2) / beside**2 / 2  # of the median, at an acceleration of 1
-        beyond = np.any(off > FLOOR + noise + swing * SUDDEN * reach[:, None] ** 2, axis=1)
+        beyond = np.any(off > FLOOR + noise + SWING[beside - 1] * SUDDEN * reach[:, None] ** 2, axis=1)
         away[own] |= beyond & (piece[around[:, 0]] == piece[around[:, -1]])
-    away[_off_the_line(time, pose, apart, noise)] = True
+    for count in NEXT:
+        away[_off_the_line(time, pose, apart, noise, count)] = True
     return away
 
 
-def _off_the_line(time: Array, pose: Array, apart: Mask, noise: Array) -> Indices:
-    """Which poses beside a gap, or at an end, are off the line through the next ones, or the last ones before it."""
+def _off_the_line(time: Array, pose: Array, apart: Mask, noise: Array, count: int) -> Indices:
+    """Which poses beside a gap, or at an end, are off the line through so many next ones, or last ones before it."""
     edge = np.flatnonzero(apart)
     at, way = np.concatenate([edge[:-1], edge[1:] - 1]), np.repeat([1, -1], edge.size - 1)
-    beyond = at[:, None] + way[:, None] * np.arange(1, NEXT + 1)
+    places = np.arange(1, count + 1)
+    beyond = at[:, None] + way[:, None] * places
     crossed = apart[np.clip(np.where(way[:, None] > 0, beyond, beyond + 1), 0, len(time))]
     known = np.all((beyond >= 0) & (beyond < len(time)) & ~crossed, axis=1)
     at, beyond = at[known], beyond[known]
@@ -101,11 +107,11 @@ def _off_the_line(time: Array, pose: Array, apart: Mask, noise: Array) -> Indice
     off = pose[beyond] - pose[at, None]
     middle = _median_turn(pose[beyond, 3], pose[at, 3])
     off[:, :, 3] = middle[:, None] + _turn(off[:, :, 3] - middle[:, None])
-    slopes = [(off[:, j] - off[:, i]) / (since[:, j] - since[:, i])[:, None] for i, j in combinations(range(NEXT), 2)]
+    slopes = [(off[:, j] - off[:, i]) / (since[:, j] - since[:, i])[:, None] for i, j in combinations(range(count), 2)]
     speed = np.median(slopes, axis=0)
     by = np.median(off - since[:, :, None] * speed[:, None], axis=1)  # of the line, where the pose beside the gap is
     away = np.column_stack([np.linalg.norm(by[:, :3], axis=1), np.abs(_turn(by[:, 3]))])
-    swing = 4 / NEXT**2  # of that line, at an acceleration of 1
+    swing = abs(np.median(places**2 / 2 - np.mean(places) * places)) / count**2  # of that line, at an acceleration of 1
     return at[np.any(away > FLOOR + noise + swing * SUDDEN * since[:, -1:] ** 2, axis=1)]
 
 
