@@ -219,7 +219,7 @@ def rate_note(model: Model, rate: float, asked: bool, axes: Collection[str] = AX
         axes: The axes of the gains.
     """
     fewest = min(pose_rates(model, axes), default=math.inf)
-    known = f"{float(f'{fewest:.2g}'):g}" if math.isfinite(fewest) else ""  # 100, not 1e+02
+    known = f"{float(f'{fewest:.2g}'):g}"  # 100, not 1e+02
     seen = f"the model's flights had {known} fresh poses a second, and the margins are of a loop"
     if fewest < FEWER * rate:
         remedy = f"tune with --rate {known}" if fewest >= RATES[0] else "they do not hold"
@@ -275,7 +275,9 @@ def _fastest(
     peak: float,
 ) -> AxisTuning | str:
     """The fastest law that keeps the margins, with the shortest filter that keeps it quiet; or why there is none."""
-    quietest = None
+    quietest, alone = None, doubt([own], period, latency, possible.seed)
+    scale = _full_scale(model, axis)
+    largest = scale if math.isfinite(scale) else None
     for filter_time in FILTERS:
         for bandwidth in np.geomspace(*BANDWIDTHS[:2], int(BANDWIDTHS[2]))[::-1].tolist():
             law = law_of_bandwidth(kind, vehicle, bandwidth, period, latency, filter_time)
@@ -284,10 +286,7 @@ def _fastest(
         else:
             continue
         noise = _command_noise(model, axis, law, own)
-        scale = _full_scale(model, axis)
-        largest = scale if math.isfinite(scale) else None
         restless = noise is not None and noise > RESTLESS * (largest or full_scale(model.card, axis))
-        alone = doubt([own], period, latency, possible.seed)
         faster = law_of_bandwidth(kind, vehicle, SLOWED * bandwidth, period, latency, filter_time)
         slowed = [SLOWER] if bandwidth * SLOWED <= BANDWIDTHS[1] and _kept(faster, alone, peak) else []
         note = "; ".join(filter(None, [_note(model, axis, law), *slowed]))

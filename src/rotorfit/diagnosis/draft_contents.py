@@ -73,10 +73,10 @@ def found_in(log: Log, pose: Recognised, guess: bool = True) -> DraftContents:
     if guess and not commands.channels and (named := velocities_as_commands(log, pose)).channels:
         commands, doubted = named, True
     velocity = velocity_in(log, commands, pose)
-    frame, remark = _pose_frame(log, velocity, pose)
+    rise = climb_of_tello(log, velocity) if is_of_tello(log, velocity) else None
+    frame, remark = _pose_frame(log, velocity, pose, rise)
     said = dict.fromkeys(pose.strays, "EDIT: named unlike the others, and perhaps of another sensor")
     if is_of_tello(log, velocity) and not any(is_stated(log, channel) for channel in velocity.channels.values()):
-        rise = climb_of_tello(log, velocity)
         scale = 10.0 if rise is None or abs(rise) > math.sqrt(10.0) else 1.0
         read = {axis: replace(channel, scale=scale, unit="cm/s") for axis, channel in velocity.channels.items()}
         velocity = replace(velocity, channels=read)
@@ -123,11 +123,11 @@ def is_whole(pose: Recognised) -> bool:
     return {"qw", "qx", "qy", "qz"} <= pose.channels.keys()
 
 
-def _pose_frame(log: Log, velocity: Recognised, pose: Recognised) -> tuple[str, str]:
-    """The frame of the pose according to names and format, and its remark."""
+def _pose_frame(log: Log, velocity: Recognised, pose: Recognised, rise: float | None) -> tuple[str, str]:
+    """The frame of the pose according to names and format, and its remark; `rise` from `climb_of_tello`."""
     if is_down(pose):
         return "NED", 'of the pose, by its names; "ENU" where z points up'
-    if is_of_tello(log, velocity) and (climb_of_tello(log, velocity) or -1.0) < 0:
+    if is_of_tello(log, velocity) and (rise is None or rise < 0):
         return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
     table = pose.table or velocity.table
     kind = FORMATS.get(format_of(log, table) if table else log.format)

@@ -255,7 +255,7 @@ def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
 
 
 def is_of_the_body(velocity: Recognised) -> bool:
-    """Whether the names indicate that a velocity is forward and left: an odometry's is in the frame of the child.
+    """Whether the names indicate that a velocity is along the body: an odometry's is in the frame of the child.
 
     Source: nav_msgs/Odometry.msg.
     """

@@ -42,7 +42,7 @@ from rotorfit.flights.stamps import (
     stamps_of,
     stray,
 )
-from rotorfit.flights.wild_poses import RARE, wild
+from rotorfit.flights.wild_poses import RARE, unwrapped, wild
 
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] above which the unit of their clock is taken to be missing."""
@@ -204,7 +204,8 @@ def read_series(
             clock, parts = whole_rows(log, time, [others[f"q{part}"] for part in "wxyz"])
             found["yaw"] = sound_samples(clock, _heading(log, *parts))
         if "yaw" in found:
-            found["yaw"] = found["yaw"][0], np.unwrap(found["yaw"][1])
+            clock, headings = found["yaw"]
+            found["yaw"] = clock, unwrapped((clock - clock[:1]) / 1e9, headings)
         series |= {axis: interpolate(clock, values, stamps) for axis, (clock, values) in found.items()}
     names = list(dict.fromkeys("quaternion" if name.startswith("q") else name for name in others))
     return stamps, series, (*notes, joined_note(what, names, len(stamps)))

@@ -75,9 +75,8 @@ def _away(time: Array, pose: Array) -> Mask:
     apart = np.concatenate([[True], step > GAP * np.median(step), [True]])  # before each pose, and after the last
     piece = np.cumsum(apart[:-1])
     steps = np.pad(np.abs(_turn(np.diff(pose[:, 3]))), BESIDE, mode="edge")
-    turning = np.partition(np.lib.stride_tricks.sliding_window_view(steps, 2 * BESIDE), 2, axis=1)[
-        :, 2
-    ]  # of a wild one
+    six = np.lib.stride_tricks.sliding_window_view(steps, 2 * BESIDE)
+    turning = np.partition(six, 2, axis=1)[:, 2]  # the third smallest: two steps around a wild heading are its own
     noise = np.zeros(2)
     for beside in range(1, BESIDE + 1):
         around = np.lib.stride_tricks.sliding_window_view(np.arange(len(time)), 2 * beside + 1)

@@ -13,6 +13,7 @@ from rotorfit.flights.columns import column, split_source
 from rotorfit.flights.other_tables import is_beside, own_clock
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps, fresh, in_time, stamps_of
 from rotorfit.flights.streams import Stream
+from rotorfit.flights.wild_poses import unwrapped
 
 HALF_WIDTH = 0.15
 """Half width of the local polynomial window for the velocity [s]."""
@@ -47,7 +48,7 @@ def seen_by(poses: Stream) -> GriddedMotion:
     from rotorfit.dynamics.kinematics import local_polynomial
 
     time = (poses.stamps - poses.stamps[0]) / 1e9
-    value = np.column_stack([poses.values[:, :3], np.unwrap(poses.values[:, 3])])
+    value = np.column_stack([poses.values[:, :3], unwrapped(time, poses.values[:, 3])])
     period = float(np.median(np.diff(time)))
     grid = np.arange(0.0, float(time[-1]), STEP)
     # a window whose middle is a hole would extrapolate from both sides
