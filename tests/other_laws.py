@@ -13,6 +13,7 @@ from rotorfit.core.frames import AXES, Array
 G, B, DELAY, LAG = 3.0, 1.2, 0.12, 0.15
 SLOW_LAG = 0.3  # of the second order: its poles are complex
 ZERO = 0.25
+LIMIT = 0.7
 COUPLED_INPUT = np.array([[G, 0.5], [-0.4, 2.5]])
 COUPLED_DAMPING = np.array([[B, 0.15], [-0.2, 0.8]])
 
@@ -39,6 +40,7 @@ LAWS: dict[str, Law] = {
     "quadratic_drag": lambda v, q, u, w: (G * u - 0.4 * v - 1.5 * np.abs(v) * v + w, 0 * q),
     "climb_descent": lambda v, q, u, w: (np.where(u > 0, 3.6, 2.4) * u - B * v + w, 0 * q),
     "saturation": lambda v, q, u, w: (G * bounded(u, 0.35) - B * v + w, 0 * q),
+    "limited_acceleration": lambda v, q, u, w: (bounded(q - B * v, LIMIT) + w, (G * u - q) / LAG),
     "dead_zone": lambda v, q, u, w: (G * without_middle(u, 0.08) - B * v + w, 0 * q),
     "second_order": lambda v, q, u, w: (q, (G * u - B * v + w - q) / SLOW_LAG),
     "second_order_zero": lambda v, q, u, w: (  # q is the acceleration less what the zero adds, so u' is not needed
@@ -61,6 +63,15 @@ TRUTH: dict[str, dict[str, float]] = {
     "quadratic_drag": {"input": G, "delay": DELAY, "quadratic_drag": 1.5, "damping_at_rest": 0.4},
     "climb_descent": {"input": G, "damping": B, "delay": DELAY, "asymmetry": 0.2, "input_up": 3.6, "input_down": 2.4},
     "saturation": {"input": G, "damping": B, "delay": DELAY, "level": 0.35},
+    "limited_acceleration": {
+        "input": G,
+        "damping": B,
+        "delay": DELAY,
+        "lag": LAG,
+        "acceleration_limit": LIMIT,
+        "steady_gain": G / B,
+        "total_lag": DELAY + LAG + 1 / B,
+    },
     "dead_zone": {"input": G, "damping": B, "delay": DELAY, "dead_zone": 0.08},
     "second_order": {"input": G, "damping": B, "delay": DELAY, "lag": SLOW_LAG, "natural_frequency": 2.0},
     "second_order_zero": {

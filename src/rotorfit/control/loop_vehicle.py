@@ -4,7 +4,8 @@
     T v'' + v' + b v = g (u + Z u')(t - tau)                    second order, with a zero Z
 
 The drag b (1 - m + m |v|/V) v of `quadratic_drag` damps the small motion about a speed v by b (1 - m + 2 m |v|/V). A
-loop has the least margins where a vehicle damps itself least: at hover, by b (1 - m).
+loop has the least margins where a vehicle damps itself least: at hover, by b (1 - m). The acceleration limit of
+`limited_acceleration` does not act on small motion.
 
 Trims and disturbances do not change the stability of a loop and are left out.
 """
@@ -50,12 +51,17 @@ def has_own_margins(structure: Structure) -> bool:
 
     A law that was chosen without a delay would promise too much.
     """
-    return structure.delayed and (has_transfer_function(structure) or has_quadratic_drag(structure))
+    return structure.delayed and (has_transfer_function(structure) or differs_at_hover(structure))
 
 
 def has_quadratic_drag(structure: Structure) -> bool:
     """Whether the drag of a law grows with the speed, on one axis: it damps itself less at rest."""
     return structure.kicks == 1
+
+
+def differs_at_hover(structure: Structure) -> bool:
+    """Whether the small motion about hover, which a loop is made for, is another than that of large commands."""
+    return has_quadratic_drag(structure) or structure.limited
 
 
 def damping_at_rest(point: Predictor) -> float:
@@ -75,6 +81,13 @@ def loop_vehicle(structure: Structure, point: Predictor) -> LoopVehicle | None:
     if LAG not in extra:
         return AxisBelief(point.input, damping_at_rest(point), delay)
     return LaggedAxis(point.input, point.damping, delay, extra[LAG], extra.get(ZERO, 0.0), structure.order)
+
+
+def first_order_about(vehicle: LoopVehicle) -> AxisBelief:
+    """A vehicle, whose lag is on its input, as one with a delay alone that is as late."""
+    if isinstance(vehicle, AxisBelief):
+        return vehicle
+    return AxisBelief(vehicle.gain, vehicle.damping, vehicle.delay + vehicle.lag)
 
 
 def vehicle_step(vehicle: LoopVehicle, reach: float, period: float) -> tuple[Array, Array, Array]:

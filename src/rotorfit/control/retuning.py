@@ -35,7 +35,7 @@ import numpy as np
 from scipy.special import chdtr
 
 from rotorfit.control.control_law import AxisLaw, Kind
-from rotorfit.control.loop_vehicle import has_quadratic_drag
+from rotorfit.control.loop_vehicle import differs_at_hover, first_order_about
 from rotorfit.control.robustness import believed_possible, doubt, known_dynamics, share_beyond
 from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, AxisTuning, Tuning, rate_note, rate_of, tune
 from rotorfit.core.errors import ModelError
@@ -271,7 +271,7 @@ class Retuning:
         before, names = self._before.get(fit.axis), self._carried[fit.axis]
         if before is None or (before.earlier and (doubted or self._another)):
             return fit
-        if _is_dragged(fit.model, fit.axis):
+        if _differs_at_hover(fit.model, fit.axis):
             return fit  # what is carried over knows no hover
         believed = _carried_over(before.model, fit.model, fit.axis, names)
         return _Belief(fit.axis, believed, names, before.earlier) if believed else fit
@@ -415,12 +415,13 @@ def _as_settled(model: Model, axis: str, law: Weighed | None = None) -> Model:
 def _apart(law: AxisLaw, model: Model, axis: str) -> float:
     """Squared distance of the vehicle that a law assumes from the known one, taking both as equally uncertain."""
     mean, covariance = _normal(first_order(model, axis))
-    if _is_dragged(model, axis):  # gains are those at hover
+    if _differs_at_hover(model, axis):  # gains are those at hover
         mean = np.array(known_dynamics(model, axis))
-        covariance = np.cov(np.array(believed_possible(model, axis, DRAWS, 0)).T)
+        drawn = [first_order_about(one) for one in believed_possible(model, axis, DRAWS, 0)]
+        covariance = np.cov(np.array(drawn).T)
     off = np.array([law.input, law.damping, law.delay]) - mean
     return float(off @ np.linalg.pinv(2.0 * covariance, hermitian=True) @ off)  # a damping at its bound does not vary
 
 
-def _is_dragged(model: Model, axis: str) -> bool:
-    return has_quadratic_drag(structure_named(model.axes[axis].structure))
+def _differs_at_hover(model: Model, axis: str) -> bool:
+    return differs_at_hover(structure_named(model.axes[axis].structure))

@@ -9,6 +9,7 @@ from rotorfit.control.control_law import AxisLaw
 from rotorfit.control.loop_vehicle import (
     LoopVehicle,
     damping_at_rest,
+    differs_at_hover,
     has_own_margins,
     has_quadratic_drag,
     loop_vehicle,
@@ -89,7 +90,7 @@ class Doubt:
 
 
 def known_dynamics(model: Model, axis: str) -> AxisBelief:
-    """The axis as a first-order law with a delay: its own law, with quadratic drag about hover, or that beside it.
+    """The axis as a first-order law with a delay: its own law, about hover where that differs, or that beside it.
 
     No vehicle moves before its command: a delay below 0, as where stamps are off, counts as none. So does one that the
     model does not know.
@@ -97,10 +98,11 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
     Raises:
         ModelError: The axis was not excited.
     """
-    dragged = has_quadratic_drag(structure_named(model.axes[axis].structure))
-    law = laws_of_vehicle(model, axis)[0] if dragged else first_order(model, axis)
+    own = differs_at_hover(structure_named(model.axes[axis].structure))
+    law = laws_of_vehicle(model, axis)[0] if own else first_order(model, axis)
     point = law.predictor
-    return AxisBelief(point.input, damping_at_rest(point), max(point.delay, 0.0) if _knows_the_delay(law) else 0.0)
+    late = max(point.delay, 0.0) if _knows_the_delay(law) else 0.0
+    return AxisBelief(point.input, damping_at_rest(point), late + point.extra.get("lag", 0.0))
 
 
 def _knows_the_delay(law: Weighed) -> bool:

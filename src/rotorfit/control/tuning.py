@@ -28,11 +28,20 @@ from rotorfit.control.robustness import (
 from rotorfit.core.display import html_table, interval, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import WRONG_FRAME
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, POSE_UNITS
 from rotorfit.core.frozen import frozen_axes
 from rotorfit.core.laws import FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.limits import meaning_of
-from rotorfit.core.model import COEFFICIENTS, MEND, Axis, Model, first_order, pose_rates, unknown_why
+from rotorfit.core.model import (
+    COEFFICIENTS,
+    MEND,
+    Axis,
+    Model,
+    first_order,
+    pose_rates,
+    predictor_of,
+    unknown_why,
+)
 from rotorfit.core.plain import by_reason, listed
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
@@ -380,6 +389,10 @@ def _note(model: Model, axis: str, law: AxisLaw) -> str:
             f"gains and margins are those of {structure.name} at hover, where it damps least; d, or the integral, "
             "takes up the drag at speed"
         )
+    elif structure.limited:
+        beside = None
+        most = f"{predictor_of(model, axis).extra['acceleration_limit']:.2g} {POSE_UNITS[axis]}/s^2"
+        notes.append(f"gains and margins are those of motion that asks for less than the limit of about {most}")
     elif structure != FIRST_ORDER_DELAY:
         whose = "its own" if has_own_margins(structure) else "not those"
         notes.append(f"gains of the first-order law with a delay, margins {whose} of {structure.name}")

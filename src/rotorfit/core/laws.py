@@ -7,12 +7,13 @@ One general law holds them all; along one axis of the heading frame, with the de
     w = g (1 + s sign u) min(max(|u| - D, 0), L) sign u + h u'         what the command demands
     T q' = w - q,   v' = q - b (1 - m + m |v| / V) v - k v' + c        first-order lag T of the attitude loop
     T v'' + v' + b v = w + Z dw/dt + c                                 second order instead
+    v' = min(max(q - b v, -A), A) + c                                  an acceleration limit A on the first order
 
 In the world frame the lagged demand q of x and y keeps its direction while the vehicle turns, else it turns, too.
 
 u' and v' in the last terms of the first and second lines are those of the other horizontal axis. A structure states
 which of the further parameters are estimated; the others keep the values at which they have no effect
-(s = D = h = m = k = T = Z = 0, L infinite).
+(s = D = h = m = k = T = Z = 0, L and A infinite).
 
 The steady gain is g / b under every linear law. The total lag, minus the slope of the phase at zero frequency, is
 tau + T + 1 / b with a lag on the input and tau + 1 / b - Z for a second order.
@@ -79,13 +80,13 @@ def start_levels(measured: Measured) -> Array:
 
 (
     GAIN, DAMPING, DELAY, TRIM, LAG, ASYMMETRY, LEVEL, DEAD, SHARE, SPEED, CROSS_INPUT, CROSS_DAMPING, ORDER, KICKS,
-    ZERO, WORLD,
-) = range(16)  # fmt: skip
+    ZERO, WORLD, LIMIT,
+) = range(17)  # fmt: skip
 """Indices into the vector of the general law: g, b, tau, c, T, s, L, D, m, V, h, k; order of the lag (0 none, 1 on the
-input, 2 second order); terms in the velocity besides linear damping (1 quadratic drag, 2 the other axis); Z; and
-whether the lag is in the world frame."""
+input, 2 second order); what acts on the velocity besides linear damping (1 quadratic drag, 2 the other axis, 4 the
+limit A); Z; whether the lag is in the world frame; and A."""
 
-LAW_SIZE = 16
+LAW_SIZE = 17
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,8 @@ class Extra:
         high: Upper bound of the search.
         logarithmic: Whether its logarithm is estimated.
         estimated: Whether it is estimated at all; else it is a constant derived from the others.
-        unit: `s`, `1/s`, `speed` (m/s or rad/s), `command` (that of the command), `gain` (acceleration per command), or
-            empty for a dimensionless number.
+        unit: `s`, `1/s`, `speed` (m/s or rad/s), `acceleration`, `command` (that of the command), `gain` (acceleration
+            per command), or empty for a dimensionless number.
         closed: Whether the upper bound is an admissible value, so that an interval may end there.
     """
 
@@ -155,9 +156,19 @@ class Structure:
 
     @property
     def kicks(self) -> int:
-        """Terms in the velocity besides linear damping: 1 quadratic drag, 2 the other axis."""
+        """What acts on the velocity besides linear damping: 1 quadratic drag, 2 the other axis, 4 a limit."""
         places = {extra.place for extra in self.extras}
-        return (SHARE in places) + 2 * (CROSS_DAMPING in places)
+        return (SHARE in places) + 2 * (CROSS_DAMPING in places) + 4 * (LIMIT in places)
+
+    @property
+    def coupled(self) -> bool:
+        """Whether x and y move each other."""
+        return bool(self.kicks & 2)
+
+    @property
+    def limited(self) -> bool:
+        """Whether the acceleration asked for is limited."""
+        return bool(self.kicks & 4)
 
 
 _LAG = Extra("lag", LAG, 0.005, 2.0, logarithmic=True, unit="s")
@@ -209,6 +220,14 @@ STRUCTURES: Mapping[str, Structure] = {
             linear=False,
         ),
         Structure(
+            "limited_acceleration",
+            "v' = q - b v within -A and A, + c, T q' = g u(t - tau) - q",
+            (_LAG, Extra("acceleration_limit", LIMIT, 0.01, 100.0, logarithmic=True, unit="acceleration")),
+            order=1,
+            linear=False,
+            tried=(),
+        ),
+        Structure(
             "dead_zone",
             "v' = g u(t - tau) - b v + c, |u| less D",
             (Extra("dead_zone", DEAD, 0.0, 1e4, unit="command"),),
@@ -256,7 +275,7 @@ def law_of(
         trim: c [m/s^2 or rad/s^2].
     """
     law = np.zeros(LAW_SIZE)
-    law[[GAIN, DAMPING, DELAY, TRIM, LEVEL]] = gain, damping, delay, trim, np.inf
+    law[[GAIN, DAMPING, DELAY, TRIM, LEVEL, LIMIT]] = gain, damping, delay, trim, np.inf, np.inf
     law[[ORDER, KICKS, WORLD]] = structure.order, structure.kicks, structure.world
     for one in structure.extras:
         law[one.place] = extra[one.name]

@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
-from rotorfit.core.laws import CROSS_DAMPING, DAMPING, DELAY, KICKS, LAG, ORDER, SHARE, SPEED, ZERO
+from rotorfit.core.laws import CROSS_DAMPING, DAMPING, DELAY, KICKS, LAG, LIMIT, ORDER, SHARE, SPEED, ZERO
 from rotorfit.dynamics.general_response import longest_step
 from rotorfit.dynamics.general_step import demand, lag_series, lags_in_world, linear_step
 
@@ -207,10 +207,10 @@ def _advance(
                 linear_step(law, series, a, dt, S)
             for _ in range(pieces):
                 if kicked:
-                    _kick(law, w, 0.5 * dt, one, past)
+                    _kick(law, w, 0.5 * dt, spin, one, past)
                 _move(w, S, demanded[0], demanded[1], spin, one, past)
                 if kicked:
-                    _kick(law, w, 0.5 * dt, one, past)
+                    _kick(law, w, 0.5 * dt, spin, one, past)
             t = t_next
         if switch < 2:
             x, y = demanded[0], demanded[1]
@@ -261,24 +261,33 @@ def _move(w: Array, S: Array, wx: float, wy: float, spin: float, one: int, past:
 
 
 @inner(fastmath={"contract"})
-def _kick(law: Array, w: Array, dt: float, one: int, past: int) -> None:
-    """Applies quadratic drag and cross damping for dt to the velocities of all runs; see `general_step`."""
-    across = law[0, KICKS] + law[1, KICKS] >= 2
+def _kick(law: Array, w: Array, dt: float, spin: float, one: int, past: int) -> None:
+    """Applies quadratic drag, cross damping and limits for dt to the velocities of all runs; see `general_step`."""
+    across = int(law[0, KICKS]) & 2 > 0
     first, second = (law[0, CROSS_DAMPING] * dt, law[1, CROSS_DAMPING] * dt) if across else (0.0, 0.0)
     own = 1.0 + 0.5 * first * second
     dx, dy = _drag(law, 0) * dt, _drag(law, 1) * dt
+    limited = int(law[0, KICKS]) & 4 > 0 or int(law[1, KICKS]) & 4 > 0
+    most_x, most_y = law[0, LIMIT], law[1, LIMIT]
+    span_x, span_y = dt * (1.0 + 0.5 * law[0, DAMPING] * dt), dt * (1.0 + 0.5 * law[1, DAMPING] * dt)
     for j in range(max(one, 0), past):
         vx, vy, c, s = w[_VX + j], w[_VY + j], w[_C + j], w[_S + j]
         vx, vy = c * vx + s * vy, c * vy - s * vx
         vx, vy = vx / (1.0 + dx * abs(vx)), vy / (1.0 + dy * abs(vy))
         vx, vy = own * vx - first * vy, own * vy - second * vx
+        if limited:
+            qc, qs = 1.0 + spin * (c - 1.0), spin * s
+            qx, qy = w[_QX + j], w[_QY + j]
+            ax, ay = qc * qx + qs * qy - law[0, DAMPING] * vx, qc * qy - qs * qx - law[1, DAMPING] * vy
+            vx += span_x * (min(max(ax, -most_x), most_x) - ax)
+            vy += span_y * (min(max(ay, -most_y), most_y) - ay)
         w[_VX + j], w[_VY + j] = c * vx - s * vy, s * vx + c * vy
 
 
 @inner()
 def _drag(law: Array, a: int) -> float:
     """Quadratic drag of an axis: deceleration over the squared velocity."""
-    return law[a, DAMPING] * law[a, SHARE] / law[a, SPEED] if int(law[a, KICKS]) % 2 else 0.0
+    return law[a, DAMPING] * law[a, SHARE] / law[a, SPEED] if int(law[a, KICKS]) & 1 else 0.0
 
 
 @inner(fastmath={"contract"})

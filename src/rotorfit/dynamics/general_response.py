@@ -141,9 +141,9 @@ def longest_step(law: Array) -> float:
     """Longest admissible step [s]; longer stretches are subdivided."""
     longest = np.inf
     for a in range(law.shape[0]):
-        if int(law[a, KICKS]) % 2 == 1:
+        if int(law[a, KICKS]) & 5:
             longest = min(longest, _DRAG_STEP)
-        if law[a, KICKS] >= 2:
+        if int(law[a, KICKS]) & 2:
             longest = min(longest, _CROSS_STEP)
     return longest
 

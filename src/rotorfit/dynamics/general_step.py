@@ -25,6 +25,7 @@ from rotorfit.core.laws import (
     KICKS,
     LAG,
     LEVEL,
+    LIMIT,
     ORDER,
     SHARE,
     SPEED,
@@ -254,7 +255,7 @@ def _kick(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: f
     if K == 2:
         _turn_velocities(z, C, c, s)
     for a in range(K):
-        if int(law[a, KICKS]) % 2 == 0:
+        if int(law[a, KICKS]) & 1 == 0:
             continue
         b, share, speed, own = law[a, DAMPING], law[a, SHARE], law[a, SPEED], V + COLUMNS * a
         before = z[own]
@@ -265,7 +266,7 @@ def _kick(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: f
             z[own + j] *= left * left
             if whose[j] == a and (what[j] == DAMPING or what[j] == SHARE):
                 z[own + j] -= spent * before * left * left * (share if what[j] == DAMPING else b) / speed
-    if K == 2 and law[0, KICKS] + law[1, KICKS] >= 2:
+    if K == 2 and int(law[0, KICKS]) & 2:
         first, second = law[0, CROSS_DAMPING] * dt, law[1, CROSS_DAMPING] * dt
         x, y = z[V], z[V + COLUMNS]
         for j in range(C):
@@ -278,8 +279,40 @@ def _kick(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: f
             elif what[j] == CROSS_DAMPING and whose[j] == 1:
                 z[V + j] += dt * 0.5 * first * x
                 z[V + COLUMNS + j] += dt * (0.5 * first * y - x)
+    for a in range(K):
+        if int(law[a, KICKS]) & 4:
+            _hold_back(law, what, whose, z, a, c, s, dt)
     if K == 2:
         _turn_velocities(z, C, c, -s)
+
+
+@inner()
+def _hold_back(law: Array, what: Any, whose: Any, z: Array, a: int, c: float, s: float, dt: float) -> None:
+    """Takes from the velocities of axis a what its limit takes off the acceleration asked for, for dt.
+
+    To the second order in dt: while the limit holds, what is asked for falls with the velocity.
+    """
+    b, most, own = law[a, DAMPING], law[a, LIMIT], V + COLUMNS * a
+    in_world = lags_in_world(law)
+    qc, qs = (c, s) if in_world else (1.0, 0.0)
+    v, lagged = z[own], Q + COLUMNS * a
+    q = z[lagged] if not in_world else (qc * z[Q] + qs * z[Q + COLUMNS] if a == 0 else qc * z[lagged] - qs * z[Q])
+    asked = q - b * v
+    if abs(asked) <= most:
+        return
+    sign = 1.0 if asked > 0 else -1.0
+    span = dt * (1.0 + 0.5 * b * dt)
+    z[own] = v + span * (sign * most - asked)
+    for j in range(1, what.size):
+        change = z[lagged + j]
+        if in_world:
+            change = qc * z[Q + j] + qs * z[Q + COLUMNS + j] if a == 0 else qc * z[lagged + j] - qs * z[Q + j]
+        more = b * z[own + j] - change
+        if whose[j] == a and what[j] == LIMIT:
+            more += sign
+        elif whose[j] == a and what[j] == DAMPING:
+            more += v + 0.5 * dt * (sign * most - asked) / (1.0 + 0.5 * b * dt)
+        z[own + j] += span * more
 
 
 @inner(fastmath={"contract"})

@@ -65,7 +65,7 @@ def state_space(model: Model) -> StateSpace:
         if structure.order < 2:
             A[v, v] = -point.damping
         other = {"x": "y", "y": "x"}.get(axes[i])
-        if structure.kicks >= 2 and other in axes:
+        if structure.coupled and other in axes:
             j = axes.index(other)
             B[v, j], A[v, n + j] = point.extra["cross_input"], -point.extra["cross_damping"]
     C = np.hstack([np.eye(n), np.zeros((n, len(A) - n))])

@@ -189,7 +189,7 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
             more = f"{_told(axis)}; the option predictor exports the point that predicts best" if axis.predictor else ""
             notes.append(f"{name} is left out and keeps its velocity: {missing[name]}{more}.")
     for one, other in (("x", "y"), ("y", "x")):
-        if axes[one].predictor and not axes[other].predictor and structure_named(axes[one].structure).kicks >= 2:
+        if axes[one].predictor and not axes[other].predictor and structure_named(axes[one].structure).coupled:
             axes[one] = replace(axes[one], predictor=None)
             missing[one] = f"its law is coupled with that of {other}"
             notes.append(f"{one} is left out, too: {missing[one]}.")

@@ -119,7 +119,7 @@ def _starts(estimate: Estimate) -> Iterator[Point]:
     """Where the climbs begin: at nearly, or exactly, the motion under the law with one lag."""
     point = estimate.optimum.point
     lagged = [_lagged(one) for one in point.structures]
-    if not any(lagged):
+    if not any(lagged) or not all(one.linear for one in point.structures):
         return
     lag = np.where(lagged, np.exp(point.extra[0]), 0.0)
     twice = tuple(replace(one, twice=True) if _lagged(one) else one for one in point.structures)
@@ -143,7 +143,7 @@ def _starts(estimate: Estimate) -> Iterator[Point]:
 
 
 def _lagged(structure: Structure) -> bool:
-    return structure.order == 1
+    return structure.order == 1 and structure.linear
 
 
 def _twice(point: Point) -> bool:

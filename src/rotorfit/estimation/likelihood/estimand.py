@@ -63,7 +63,7 @@ def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
         Estimand("damping", b, True, along(damping=1.0)),
         Estimand("delay", tau, False, along(delay=1.0)),
     ]
-    if has_transfer_function(structure):
+    if has_transfer_function(structure) or structure.limited:
         out += [
             Estimand("steady_gain", g / b, True, along(input=1 / g, damping=-1.0)),
             Estimand("total_lag", tau + lag + 1 / b - zero, False, along(delay=1.0, damping=-1 / b, **late)),

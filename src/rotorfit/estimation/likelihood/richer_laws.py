@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, heading_from_world, world_from_heading
-from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Structure, start_levels
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, STRUCTURES, Structure, start_levels
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, free_of, maximise_restricted
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
@@ -32,6 +32,10 @@ are held shift the order of maxima so close."""
 SAME_MAXIMUM = 0.3
 """Distance within which two short climbs count as on their way to one maximum [standard errors]: all of nine pairs on
 two flights ended there; of pairs 0.5 to 1 apart one did not."""
+
+LIMITED = (1.0, 0.7), (1.5, 0.3), (2.0, 0.15)
+"""Starts of a law with a limit of the acceleration: how much faster than the law without it, and the limit over what the
+largest command asks for at rest."""
 
 FAR_ABOVE = 20.0
 """Rise of the log-likelihood over the first-order law from which a second order is sought from the usual levels, too:
@@ -80,7 +84,7 @@ def estimate_laws(
     }
     if all(structure == FIRST_ORDER_DELAY for structure in wanted.values()):
         return dict(estimates)
-    crossed = any(structure.kicks >= 2 for structure in wanted.values())
+    crossed = any(structure.coupled for structure in wanted.values())
     if len(group) == 2 and (crossed or estimates[group[0]].optimum.point.gain.size == 2):
         return _together(serving, group, estimates, wanted, prior_of, hopeless)
     out = {axis: under_law(estimates[axis], axis, wanted[axis], prior_of) for axis in group}
@@ -101,7 +105,7 @@ def single(
         comparable: where the vehicle turns or the structure couples x and y, both are from the joint likelihood.
     """
     before = estimates[axis]
-    if before.optimum.point.gain.size == 1 and structure.kicks < 2:
+    if before.optimum.point.gain.size == 1 and not structure.coupled:
         return before, under_law(before, axis, structure)
     plain = dict.fromkeys(estimates, FIRST_ORDER_DELAY)
     group = tuple(estimates)
@@ -114,7 +118,7 @@ def single(
 
 def applicable_structure(structure: Structure, group: Sequence[str]) -> Structure:
     """The structure, or the first-order law where the structure couples x and y and these are not one group."""
-    return FIRST_ORDER_DELAY if structure.kicks >= 2 and tuple(group) != ("x", "y") else structure
+    return FIRST_ORDER_DELAY if structure.coupled and tuple(group) != ("x", "y") else structure
 
 
 def _records(serving: Sequence[Flight], axes: Sequence[str]) -> list[Record]:
@@ -186,9 +190,28 @@ def _starts(
     records: Sequence[Record], point: Point, k: int, structure: Structure, prior: GaussianPrior | None
 ) -> list[Point]:
     """Start points: near the first-order law, or the best points of a grid for a law with a lag."""
+    if structure.limited:
+        without = law_starts(records, point, k, STRUCTURES["first_order_delay_lag"], prior)
+        return [start for one in without for start in _limited_starts(records, one, k, structure)]
     if structure.order:
         return law_starts(records, point, k, structure, prior)
     return starts(records, point, k, structure)
+
+
+def _limited_starts(records: Sequence[Record], point: Point, k: int, structure: Structure) -> list[Point]:
+    """Points under a limit of the acceleration, from one under the same law without it: that is too slow."""
+    largest = max(float(np.abs(rec.command[:, k]).max()) for rec in records)
+    laws = (*point.structures[:k], structure, *point.structures[k + 1 :])
+    out = []
+    for faster, share in LIMITED:
+        gain, log_damping = point.gain.copy(), point.log_damping.copy()
+        gain[k] *= faster
+        log_damping[k] += np.log(faster)
+        extra = np.zeros((max(len(point.extra), len(structure.extras)), gain.size))
+        extra[: len(point.extra)] = point.extra
+        extra[1, k] = np.log(share * abs(gain[k]) * largest)
+        out.append(replace(point, gain=gain, log_damping=log_damping, extra=extra, structures=laws))
+    return out
 
 
 def _begun(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
