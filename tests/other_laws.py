@@ -40,7 +40,7 @@ LAWS: dict[str, Law] = {
     "quadratic_drag": lambda v, q, u, w: (G * u - 0.4 * v - 1.5 * np.abs(v) * v + w, 0 * q),
     "climb_descent": lambda v, q, u, w: (np.where(u > 0, 3.6, 2.4) * u - B * v + w, 0 * q),
     "saturation": lambda v, q, u, w: (G * bounded(u, 0.35) - B * v + w, 0 * q),
-    "limited_acceleration": lambda v, q, u, w: (bounded(q - B * v, LIMIT) + w, (G * u - q) / LAG),
+    "limited_acceleration": lambda v, q, u, w: (q, (bounded(G * u - B * v, LIMIT) + w - q) / LAG),
     "dead_zone": lambda v, q, u, w: (G * without_middle(u, 0.08) - B * v + w, 0 * q),
     "second_order": lambda v, q, u, w: (q, (G * u - B * v + w - q) / SLOW_LAG),
     "second_order_zero": lambda v, q, u, w: (  # q is the acceleration less what the zero adds, so u' is not needed
@@ -70,7 +70,7 @@ TRUTH: dict[str, dict[str, float]] = {
         "lag": LAG,
         "acceleration_limit": LIMIT,
         "steady_gain": G / B,
-        "total_lag": DELAY + LAG + 1 / B,
+        "total_lag": DELAY + 1 / B,
     },
     "dead_zone": {"input": G, "damping": B, "delay": DELAY, "dead_zone": 0.08},
     "second_order": {"input": G, "damping": B, "delay": DELAY, "lag": SLOW_LAG, "natural_frequency": 2.0},

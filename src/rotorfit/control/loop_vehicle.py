@@ -87,7 +87,7 @@ def first_order_about(vehicle: LoopVehicle) -> AxisBelief:
     """A vehicle, whose lag is on its input, as one with a delay alone that is as late."""
     if isinstance(vehicle, AxisBelief):
         return vehicle
-    return AxisBelief(vehicle.gain, vehicle.damping, vehicle.delay + vehicle.lag)
+    return AxisBelief(vehicle.gain, vehicle.damping, vehicle.delay + (vehicle.lag if vehicle.order == 1 else 0.0))
 
 
 def vehicle_step(vehicle: LoopVehicle, reach: float, period: float) -> tuple[Array, Array, Array]:

@@ -7,7 +7,7 @@ One general law holds them all; along one axis of the heading frame, with the de
     w = g (1 + s sign u) min(max(|u| - D, 0), L) sign u + h u'         what the command demands
     T q' = w - q,   v' = q - b (1 - m + m |v| / V) v - k v' + c        first-order lag T of the attitude loop
     T v'' + v' + b v = w + Z dw/dt + c                                 second order instead
-    v' = min(max(q - b v, -A), A) + c                                  an acceleration limit A on the first order
+    T v'' + v' = min(max(w - b v, -A), A) + c                          a velocity loop that asks for A at most
 
 In the world frame the lagged demand q of x and y keeps its direction while the vehicle turns, else it turns, too.
 
@@ -220,14 +220,6 @@ STRUCTURES: Mapping[str, Structure] = {
             linear=False,
         ),
         Structure(
-            "limited_acceleration",
-            "v' = q - b v within -A and A, + c, T q' = g u(t - tau) - q",
-            (_LAG, Extra("acceleration_limit", LIMIT, 0.01, 100.0, logarithmic=True, unit="acceleration")),
-            order=1,
-            linear=False,
-            tried=(),
-        ),
-        Structure(
             "dead_zone",
             "v' = g u(t - tau) - b v + c, |u| less D",
             (Extra("dead_zone", DEAD, 0.0, 1e4, unit="command"),),
@@ -244,6 +236,14 @@ STRUCTURES: Mapping[str, Structure] = {
             "T v'' + v' + b v = g (u + Z u')(t - tau) + c",
             (_LAG, _ZERO),
             order=2,
+        ),
+        Structure(
+            "limited_acceleration",
+            "T v'' + v' = (g u(t - tau) - b v, within -A and A) + c",
+            (_LAG, Extra("acceleration_limit", LIMIT, 0.01, 100.0, logarithmic=True, unit="acceleration")),
+            order=2,
+            linear=False,
+            tried=(),
         ),
     )
 }  # fmt: skip

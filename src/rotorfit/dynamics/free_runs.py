@@ -207,10 +207,10 @@ def _advance(
                 linear_step(law, series, a, dt, S)
             for _ in range(pieces):
                 if kicked:
-                    _kick(law, w, 0.5 * dt, spin, one, past)
+                    _kick(law, w, demanded[0], demanded[1], 0.5 * dt, one, past)
                 _move(w, S, demanded[0], demanded[1], spin, one, past)
                 if kicked:
-                    _kick(law, w, 0.5 * dt, spin, one, past)
+                    _kick(law, w, demanded[0], demanded[1], 0.5 * dt, one, past)
             t = t_next
         if switch < 2:
             x, y = demanded[0], demanded[1]
@@ -261,26 +261,24 @@ def _move(w: Array, S: Array, wx: float, wy: float, spin: float, one: int, past:
 
 
 @inner(fastmath={"contract"})
-def _kick(law: Array, w: Array, dt: float, spin: float, one: int, past: int) -> None:
+def _kick(law: Array, w: Array, wx: float, wy: float, dt: float, one: int, past: int) -> None:
     """Applies quadratic drag, cross damping and limits for dt to the velocities of all runs; see `general_step`."""
     across = int(law[0, KICKS]) & 2 > 0
     first, second = (law[0, CROSS_DAMPING] * dt, law[1, CROSS_DAMPING] * dt) if across else (0.0, 0.0)
     own = 1.0 + 0.5 * first * second
     dx, dy = _drag(law, 0) * dt, _drag(law, 1) * dt
     limited = int(law[0, KICKS]) & 4 > 0 or int(law[1, KICKS]) & 4 > 0
-    most_x, most_y = law[0, LIMIT], law[1, LIMIT]
-    span_x, span_y = dt * (1.0 + 0.5 * law[0, DAMPING] * dt), dt * (1.0 + 0.5 * law[1, DAMPING] * dt)
+    cut_x = dt / law[0, LAG] if int(law[0, KICKS]) & 4 else 0.0
+    cut_y = dt / law[1, LAG] if int(law[1, KICKS]) & 4 else 0.0
     for j in range(max(one, 0), past):
         vx, vy, c, s = w[_VX + j], w[_VY + j], w[_C + j], w[_S + j]
         vx, vy = c * vx + s * vy, c * vy - s * vx
         vx, vy = vx / (1.0 + dx * abs(vx)), vy / (1.0 + dy * abs(vy))
         vx, vy = own * vx - first * vy, own * vy - second * vx
         if limited:
-            qc, qs = 1.0 + spin * (c - 1.0), spin * s
-            qx, qy = w[_QX + j], w[_QY + j]
-            ax, ay = qc * qx + qs * qy - law[0, DAMPING] * vx, qc * qy - qs * qx - law[1, DAMPING] * vy
-            vx += span_x * (min(max(ax, -most_x), most_x) - ax)
-            vy += span_y * (min(max(ay, -most_y), most_y) - ay)
+            ax, ay = wx - law[0, DAMPING] * vx, wy - law[1, DAMPING] * vy
+            w[_QX + j] += cut_x * (min(max(ax, -law[0, LIMIT]), law[0, LIMIT]) - ax)
+            w[_QY + j] += cut_y * (min(max(ay, -law[1, LIMIT]), law[1, LIMIT]) - ay)
         w[_VX + j], w[_VY + j] = c * vx - s * vy, s * vx + c * vy
 
 

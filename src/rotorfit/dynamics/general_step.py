@@ -281,38 +281,30 @@ def _kick(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: f
                 z[V + COLUMNS + j] += dt * (0.5 * first * y - x)
     for a in range(K):
         if int(law[a, KICKS]) & 4:
-            _hold_back(law, what, whose, z, a, c, s, dt)
+            _limit(law, what, whose, z, a, dt)
     if K == 2:
         _turn_velocities(z, C, c, -s)
 
 
 @inner()
-def _hold_back(law: Array, what: Any, whose: Any, z: Array, a: int, c: float, s: float, dt: float) -> None:
-    """Takes from the velocities of axis a what its limit takes off the acceleration asked for, for dt.
-
-    To the second order in dt: while the limit holds, what is asked for falls with the velocity.
-    """
-    b, most, own = law[a, DAMPING], law[a, LIMIT], V + COLUMNS * a
-    in_world = lags_in_world(law)
-    qc, qs = (c, s) if in_world else (1.0, 0.0)
-    v, lagged = z[own], Q + COLUMNS * a
-    q = z[lagged] if not in_world else (qc * z[Q] + qs * z[Q + COLUMNS] if a == 0 else qc * z[lagged] - qs * z[Q])
-    asked = q - b * v
-    if abs(asked) <= most:
+def _limit(law: Array, what: Any, whose: Any, z: Array, a: int, dt: float) -> None:
+    """Takes from the acceleration of axis a what its limit takes off what is asked for, for dt; velocities turned."""
+    acceleration, own, asking = Q + COLUMNS * a, V + COLUMNS * a, W + COLUMNS * a
+    b, T = law[a, DAMPING], law[a, LAG]
+    asked = z[asking] - b * z[own]
+    cut = min(max(asked, -law[a, LIMIT]), law[a, LIMIT]) - asked
+    if cut == 0.0:
         return
-    sign = 1.0 if asked > 0 else -1.0
-    span = dt * (1.0 + 0.5 * b * dt)
-    z[own] = v + span * (sign * most - asked)
     for j in range(1, what.size):
-        change = z[lagged + j]
-        if in_world:
-            change = qc * z[Q + j] + qs * z[Q + COLUMNS + j] if a == 0 else qc * z[lagged + j] - qs * z[Q + j]
-        more = b * z[own + j] - change
+        change = b * z[own + j] - z[asking + j]
         if whose[j] == a and what[j] == LIMIT:
-            more += sign
+            change += 1.0 if asked > 0 else -1.0
         elif whose[j] == a and what[j] == DAMPING:
-            more += v + 0.5 * dt * (sign * most - asked) / (1.0 + 0.5 * b * dt)
-        z[own + j] += span * more
+            change += z[own]
+        elif whose[j] == a and what[j] == LAG:
+            change -= cut / T
+        z[acceleration + j] += dt / T * change
+    z[acceleration] += dt / T * cut
 
 
 @inner(fastmath={"contract"})

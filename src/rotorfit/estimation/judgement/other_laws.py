@@ -143,7 +143,7 @@ def _starts(estimate: Estimate) -> Iterator[Point]:
 
 
 def _lagged(structure: Structure) -> bool:
-    return structure.order == 1 and structure.linear
+    return structure.order == 1
 
 
 def _twice(point: Point) -> bool:

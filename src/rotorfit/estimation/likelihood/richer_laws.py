@@ -191,7 +191,7 @@ def _starts(
 ) -> list[Point]:
     """Start points: near the first-order law, or the best points of a grid for a law with a lag."""
     if structure.limited:
-        without = law_starts(records, point, k, STRUCTURES["first_order_delay_lag"], prior)
+        without = law_starts(records, point, k, STRUCTURES["second_order"], prior)
         return [start for one in without for start in _limited_starts(records, one, k, structure)]
     if structure.order:
         return law_starts(records, point, k, structure, prior)
