@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.core.compiled import inner, kernel
 from rotorfit.core.frames import Array, Indices
-from rotorfit.core.laws import DAMPING, DELAY, DELAY_RANGE, KICKS, LAG, ORDER, TRIM, ZERO
+from rotorfit.core.laws import DAMPING, DELAY, DELAY_RANGE, KICKS, LAG, LIMIT, ORDER, TRIM, ZERO
 from rotorfit.dynamics.general_step import (
     COLUMNS,
     MEAN,
@@ -38,6 +38,8 @@ the first command of a segment is met at every delay."""
 _DRAG_STEP = 0.005
 
 _CROSS_STEP = 0.01
+
+_LIMIT_STEP, _LIMIT_SHARE = 0.005, 0.1  # of the lag; more is off by millimetres in a minute
 
 
 @inner()
@@ -82,6 +84,16 @@ def _led(law: Array, z: Array, C: int, sign: float, psi: float) -> None:
 
 
 @inner()
+def _limited(law: Array, z: Array, a: int, demanded: float, psi: float) -> float:
+    """Acceleration that axis a asks for under a demand, within its limit."""
+    v = z[V]
+    if law.shape[0] == 2:
+        c, s = np.cos(psi), np.sin(psi)
+        v = c * z[V] + s * z[V + COLUMNS] if a == 0 else c * z[V + COLUMNS] - s * z[V]
+    return min(max(demanded - law[a, DAMPING] * v, -law[a, LIMIT]), law[a, LIMIT])  # type: ignore[no-any-return]
+
+
+@inner()
 def _switch(
     law: Array, what: Any, whose: Any, z: Array, u: Array, at: int, new: float, psi: float, turn: float
 ) -> None:
@@ -103,7 +115,10 @@ def _switch(
         if what[j] != DELAY or whose[j] != at:
             continue
         for a in range(K):
-            impulse = (before0 if a == 0 else before1) - z[W + COLUMNS * a]
+            before, after = before0 if a == 0 else before1, z[W + COLUMNS * a]
+            if int(law[a, KICKS]) & 4:
+                before, after = _limited(law, z, a, before, psi), _limited(law, z, a, after, psi)
+            impulse = before - after
             if law[a, ORDER] > 0:
                 lead = law[a, ZERO] / law[a, LAG]
                 _into_lag(law, z, a, j, (1.0 - lead) * impulse / law[a, LAG], psi)
@@ -141,10 +156,12 @@ def longest_step(law: Array) -> float:
     """Longest admissible step [s]; longer stretches are subdivided."""
     longest = np.inf
     for a in range(law.shape[0]):
-        if int(law[a, KICKS]) & 5:
+        if int(law[a, KICKS]) & 1:
             longest = min(longest, _DRAG_STEP)
         if int(law[a, KICKS]) & 2:
             longest = min(longest, _CROSS_STEP)
+        if int(law[a, KICKS]) & 4:
+            longest = min(longest, _LIMIT_STEP, _LIMIT_SHARE * law[a, LAG])
     return longest
 
 
