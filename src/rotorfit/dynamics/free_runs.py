@@ -191,7 +191,8 @@ def _advance(
 ) -> None:  # fmt: skip
     """Propagates the runs from t to t_end through every switch in between; see `general_response.advance`."""
     begin, span = t, max(t_end - t, 1e-12)
-    kicked = law[0, KICKS] + law[1, KICKS] > 0
+    kicked = int(law[0, KICKS]) & 3 > 0 or int(law[1, KICKS]) & 3 > 0
+    limited = int(law[0, KICKS]) & 4 > 0 or int(law[1, KICKS]) & 4 > 0
     spin = 1.0 if lags_in_world(law) else 0.0
     while t < t_end:
         t_next, switch = t_end, 2
@@ -207,10 +208,10 @@ def _advance(
                 linear_step(law, series, a, dt, S)
             for _ in range(pieces):
                 if kicked:
-                    _kick(law, w, demanded[0], demanded[1], 0.5 * dt, one, past)
-                _move(w, S, demanded[0], demanded[1], spin, one, past)
+                    _kick(law, w, 0.5 * dt, one, past)
+                _move(law, w, S, demanded[0], demanded[1], dt if limited else 0.0, spin, one, past)
                 if kicked:
-                    _kick(law, w, demanded[0], demanded[1], 0.5 * dt, one, past)
+                    _kick(law, w, 0.5 * dt, one, past)
             t = t_next
         if switch < 2:
             x, y = demanded[0], demanded[1]
@@ -234,51 +235,52 @@ def _jump(law: Array, a: int, change: float, spin: float) -> float:
 
 
 @inner(fastmath={"contract"})
-def _move(w: Array, S: Array, wx: float, wy: float, spin: float, one: int, past: int) -> None:
+def _move(
+    law: Array, w: Array, S: Array, wx: float, wy: float, limited: float, spin: float, one: int, past: int
+) -> None:
     """The linear step `S` (2, 3, 12) of all runs under the demands wx and wy; see `general_step.linear_step`.
 
-    `spin` is 1 where the lagged demand is in the world frame, else 0.
+    `spin` is 1 where the lagged demand is in the world frame, else 0; `limited` is the step where the acceleration of
+    an axis is limited, see `general_step`, else 0.
     """
     xpv, xpq, xpc, xvv, xvq, xvc = S[0, 0, 0], S[0, 0, 1], S[0, 0, 3], S[0, 0, 4], S[0, 0, 5], S[0, 0, 7]
     xqv, xqq, xqc = S[0, 0, 8], S[0, 0, 9], S[0, 0, 11]
-    xpw, xvw, xqw = S[0, 0, 2] * wx, S[0, 0, 6] * wx, S[0, 0, 10] * wx
+    xpw, xvw, xqw = S[0, 0, 2], S[0, 0, 6], S[0, 0, 10]
     ypv, ypq, ypc, yvv, yvq, yvc = S[1, 0, 0], S[1, 0, 1], S[1, 0, 3], S[1, 0, 4], S[1, 0, 5], S[1, 0, 7]
     yqv, yqq, yqc = S[1, 0, 8], S[1, 0, 9], S[1, 0, 11]
-    ypw, yvw, yqw = S[1, 0, 2] * wy, S[1, 0, 6] * wy, S[1, 0, 10] * wy
+    ypw, yvw, yqw = S[1, 0, 2], S[1, 0, 6], S[1, 0, 10]
+    bx, by, most_x, most_y = law[0, DAMPING], law[1, DAMPING], law[0, LIMIT], law[1, LIMIT]
     for j in range(max(one, 0), past):
         vx, vy, qx, qy, tx, ty = w[_VX + j], w[_VY + j], w[_QX + j], w[_QY + j], w[_TX + j], w[_TY + j]
         c, s = w[_C + j], w[_S + j]
         qc, qs = 1.0 + spin * (c - 1.0), spin * s
         vx, vy = c * vx + s * vy, c * vy - s * vx
         qx, qy = qc * qx + qs * qy, qc * qy - qs * qx
-        px, py = xpv * vx + xpq * qx + xpw + xpc * tx, ypv * vy + ypq * qy + ypw + ypc * ty
-        lx, ly = xqv * vx + xqq * qx + xqw + xqc * tx, yqv * vy + yqq * qy + yqw + yqc * ty
+        ux, uy = wx, wy
+        if limited:
+            mx, my = bx * (vx + 0.5 * limited * qx), by * (vy + 0.5 * limited * qy)
+            ux, uy = min(max(wx - mx, -most_x), most_x) + mx, min(max(wy - my, -most_y), most_y) + my
+        px, py = xpv * vx + xpq * qx + xpw * ux + xpc * tx, ypv * vy + ypq * qy + ypw * uy + ypc * ty
+        lx, ly = xqv * vx + xqq * qx + xqw * ux + xqc * tx, yqv * vy + yqq * qy + yqw * uy + yqc * ty
         w[_QX + j], w[_QY + j] = qc * lx - qs * ly, qs * lx + qc * ly
-        vx, vy = xvv * vx + xvq * qx + xvw + xvc * tx, yvv * vy + yvq * qy + yvw + yvc * ty
+        vx, vy = xvv * vx + xvq * qx + xvw * ux + xvc * tx, yvv * vy + yvq * qy + yvw * uy + yvc * ty
         w[_PX + j] += c * px - s * py
         w[_PY + j] += s * px + c * py
         w[_VX + j], w[_VY + j] = c * vx - s * vy, s * vx + c * vy
 
 
 @inner(fastmath={"contract"})
-def _kick(law: Array, w: Array, wx: float, wy: float, dt: float, one: int, past: int) -> None:
-    """Applies quadratic drag, cross damping and limits for dt to the velocities of all runs; see `general_step`."""
+def _kick(law: Array, w: Array, dt: float, one: int, past: int) -> None:
+    """Applies quadratic drag and cross damping for dt to the velocities of all runs; see `general_step`."""
     across = int(law[0, KICKS]) & 2 > 0
     first, second = (law[0, CROSS_DAMPING] * dt, law[1, CROSS_DAMPING] * dt) if across else (0.0, 0.0)
     own = 1.0 + 0.5 * first * second
     dx, dy = _drag(law, 0) * dt, _drag(law, 1) * dt
-    limited = int(law[0, KICKS]) & 4 > 0 or int(law[1, KICKS]) & 4 > 0
-    cut_x = dt / law[0, LAG] if int(law[0, KICKS]) & 4 else 0.0
-    cut_y = dt / law[1, LAG] if int(law[1, KICKS]) & 4 else 0.0
     for j in range(max(one, 0), past):
         vx, vy, c, s = w[_VX + j], w[_VY + j], w[_C + j], w[_S + j]
         vx, vy = c * vx + s * vy, c * vy - s * vx
         vx, vy = vx / (1.0 + dx * abs(vx)), vy / (1.0 + dy * abs(vy))
         vx, vy = own * vx - first * vy, own * vy - second * vx
-        if limited:
-            ax, ay = wx - law[0, DAMPING] * vx, wy - law[1, DAMPING] * vy
-            w[_QX + j] += cut_x * (min(max(ax, -law[0, LIMIT]), law[0, LIMIT]) - ax)
-            w[_QY + j] += cut_y * (min(max(ay, -law[1, LIMIT]), law[1, LIMIT]) - ay)
         w[_VX + j], w[_VY + j] = c * vx - s * vy, s * vx + c * vy
 
 

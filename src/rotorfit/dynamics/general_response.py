@@ -39,7 +39,7 @@ _DRAG_STEP = 0.005
 
 _CROSS_STEP = 0.01
 
-_LIMIT_STEP, _LIMIT_SHARE = 0.005, 0.1  # of the lag; more is off by millimetres in a minute
+_LIMIT_STEP = 0.005
 
 
 @inner()
@@ -161,7 +161,7 @@ def longest_step(law: Array) -> float:
         if int(law[a, KICKS]) & 2:
             longest = min(longest, _CROSS_STEP)
         if int(law[a, KICKS]) & 4:
-            longest = min(longest, _LIMIT_STEP, _LIMIT_SHARE * law[a, LAG])
+            longest = min(longest, _LIMIT_STEP)
     return longest
 
 
@@ -194,7 +194,7 @@ def advance(
     """
     K = law.shape[0]
     begin, span = t, max(t_end - t, 1e-12)
-    kicked = law[0, KICKS] + law[K - 1, KICKS] > 0
+    kicked = int(law[0, KICKS]) & 3 > 0 or int(law[K - 1, KICKS]) & 3 > 0
     while t < t_end:
         t_next, switch = t_end, K  # K means no switch
         for j in range(K):

@@ -45,7 +45,10 @@ P, V, Q, W, T = 0, 2 * COLUMNS, 4 * COLUMNS, 6 * COLUMNS, 8 * COLUMNS
 lagged demand (see `lags_in_world`; second order: acceleration), demand, trim. A single array with constant offsets
 shows the compiler that nothing overlaps, so that it vectorises over four columns."""
 
-STATE = 10 * COLUMNS
+ASKED = 10 * COLUMNS
+"""Offset of the demand before a limit cuts it."""
+
+STATE = 12 * COLUMNS
 
 _TERMS = 12
 
@@ -279,32 +282,36 @@ def _kick(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: f
             elif what[j] == CROSS_DAMPING and whose[j] == 1:
                 z[V + j] += dt * 0.5 * first * x
                 z[V + COLUMNS + j] += dt * (0.5 * first * y - x)
-    for a in range(K):
-        if int(law[a, KICKS]) & 4:
-            _limit(law, what, whose, z, a, dt)
     if K == 2:
         _turn_velocities(z, C, c, -s)
 
 
 @inner()
-def _limit(law: Array, what: Any, whose: Any, z: Array, a: int, dt: float) -> None:
-    """Takes from the acceleration of axis a what its limit takes off what is asked for, for dt; velocities turned."""
-    acceleration, own, asking = Q + COLUMNS * a, V + COLUMNS * a, W + COLUMNS * a
-    b, T = law[a, DAMPING], law[a, LAG]
-    asked = z[asking] - b * z[own]
-    cut = min(max(asked, -law[a, LIMIT]), law[a, LIMIT]) - asked
-    if cut == 0.0:
-        return
-    for j in range(1, what.size):
-        change = b * z[own + j] - z[asking + j]
-        if whose[j] == a and what[j] == LIMIT:
-            change += 1.0 if asked > 0 else -1.0
+def _limit(law: Array, what: Any, whose: Any, z: Array, a: int, c: float, s: float, dt: float) -> None:
+    """Replaces the demand of axis a by what its limit leaves of it over a step, in all columns; keeps it in `ASKED`.
+
+    The velocity that counts is that of the middle of the step.
+    """
+    K, C, own = law.shape[0], what.size, COLUMNS * a
+    b, x, y = law[a, DAMPING], (c, -s)[a], (s, c)[a]
+    within = True
+    for j in range(C):
+        demanded = z[W + own + j]
+        z[ASKED + own + j] = demanded
+        v = x * z[V + j] + y * z[V + COLUMNS + j] if K == 2 else z[V + j]
+        v += 0.5 * dt * z[Q + own + j]
+        if j == 0:
+            asked, middle = demanded - b * v, v
+            within = abs(asked) <= law[a, LIMIT]
+        if within:
+            continue
+        sign = 1.0 if asked > 0 else -1.0
+        left = b * v
+        if j == 0 or (whose[j] == a and what[j] == LIMIT):
+            left += sign * law[a, LIMIT] if j == 0 else sign
         elif whose[j] == a and what[j] == DAMPING:
-            change += z[own]
-        elif whose[j] == a and what[j] == LAG:
-            change -= cut / T
-        z[acceleration + j] += dt / T * change
-    z[acceleration] += dt / T * cut
+            left += middle
+        z[W + own + j] = left
 
 
 @inner(fastmath={"contract"})
@@ -352,6 +359,9 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
     K, C = law.shape[0], what.size
     if kicked:
         _kick(law, what, whose, z, c, s, 0.5 * dt)
+    for a in range(K):
+        if int(law[a, KICKS]) & 4:
+            _limit(law, what, whose, z, a, c, s, dt)
     v0, v1 = z[V], z[V + COLUMNS]
     if K == 2:
         v0, v1 = c * v0 + s * v1, c * v1 - s * v0
@@ -384,5 +394,9 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
         if K == 2:
             z[P + COLUMNS + j] += y * p
             z[V + COLUMNS + j] += y * along
+    for a in range(K):
+        if int(law[a, KICKS]) & 4:
+            for j in range(C):
+                z[W + COLUMNS * a + j] = z[ASKED + COLUMNS * a + j]
     if kicked:
         _kick(law, what, whose, z, c, s, 0.5 * dt)

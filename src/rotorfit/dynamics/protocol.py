@@ -284,7 +284,7 @@ def _of_four_axes(plane: Array, side: Array) -> Array:
 
 def _origin(axes: Sequence[AxisDynamics], t: Array, pose: Array) -> Array:
     """Velocity about which the laws of two axes are linearised, shape (2,): that of the first poses."""
-    if not any(axis.structure.kicks % 2 for axis in axes):
+    if not any(axis.structure.kicks & 5 for axis in axes):
         return np.zeros(2)
     i = min(int(np.searchsorted(t, t[0] + ORIGIN_TIME)), t.size - 1)
     return np.asarray((pose[i] - pose[0]) / max(t[i] - t[0], EDGE))
