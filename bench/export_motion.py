@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.laws import ORDER, WORLD, law_of, structure_named
+from rotorfit.core.laws import LIMIT, ORDER, WORLD, law_of, structure_named
 from rotorfit.core.model import Model, Predictor
 from rotorfit.dynamics.trajectory import simulate
 
@@ -102,7 +102,11 @@ def _along(state: Array) -> list[float]:
 
 def _settled(law: dict[str, Array], state: Array, u: Array) -> list[float]:
     rows = zip(AXES, _demands(law, u), _along(state), strict=True)
-    return [w - (law[axis][1] * v if law[axis][ORDER] == 2 else 0.0) for axis, w, v in rows]
+    return [_asked(law[axis], w, v) if law[axis][ORDER] == 2 else w for axis, w, v in rows]
+
+
+def _asked(law: Array, w: float, v: float) -> float:
+    return float(np.clip(w - law[1] * v, -law[LIMIT], law[LIMIT]))
 
 
 def _rate(law: dict[str, Array], state: Array, u: Array) -> Array:
@@ -112,7 +116,7 @@ def _rate(law: dict[str, Array], state: Array, u: Array) -> Array:
         drag = b * (1 - m + (m * abs(v[k]) / V if m else 0.0)) * v[k]
         q = state[8 + k]
         if law[axis][ORDER] == 2:
-            a[k], dq[k] = q, (w[k] - b * v[k] - q) / T
+            a[k], dq[k] = q, (_asked(law[axis], w[k], v[k]) - q) / T
         elif law[axis][ORDER] == 1:
             a[k], dq[k] = q - drag, (w[k] - q) / T
         else:

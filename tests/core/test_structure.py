@@ -25,7 +25,7 @@ from rotorfit.simulation.paper_vehicle import Truth
 
 pytestmark = pytest.mark.flights
 
-NEUTRAL = {"lag": 1e-3, "drag_share": 0.0, "reference_speed": 0.5, "level": 1e3}
+NEUTRAL = {"lag": 1e-3, "drag_share": 0.0, "reference_speed": 0.5, "level": 1e3, "acceleration_limit": 90.0}
 """Where a further parameter does nothing; 0 for all others."""
 
 
@@ -86,7 +86,7 @@ def test_where_it_adds_nothing_a_structure_moves_as_the_default_does(name: str, 
 @pytest.mark.parametrize("name", [name for name in STRUCTURES if STRUCTURES[name].extras])
 def test_sensitivities_are_the_slopes_of_the_motion(name: str, turning: tuple[Array, Array]) -> None:
     values = {"lag": 0.1, "drag_share": 0.4, "reference_speed": 0.6, "asymmetry": 0.2, "level": 0.15}
-    values |= {"dead_zone": 0.03, "zero": 0.25, "cross_input": 0.5, "cross_damping": 0.2}
+    values |= {"acceleration_limit": 0.4, "dead_zone": 0.03, "zero": 0.25, "cross_input": 0.5, "cross_damping": 0.2}
     for K, rec in enumerate(turning, 1):
         if name == "coupled" and K == 1:
             continue
@@ -211,7 +211,9 @@ def test_a_model_with_a_lag_predicts_a_vehicle_with_one_better_than_the_default(
     assert errors[0] < 0.8 * errors[1]
 
 
-@pytest.mark.parametrize("name", ["first_order_delay_lag", "quadratic_drag", "saturation", "second_order"])
+@pytest.mark.parametrize(
+    "name", ["first_order_delay_lag", "quadratic_drag", "saturation", "second_order", "limited_acceleration"]
+)
 def test_simulation_moves_as_the_other_integrator_says(name: str) -> None:
     flight = flown_by(name)
 

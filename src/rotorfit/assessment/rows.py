@@ -92,7 +92,7 @@ def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
     if gain is not None and damping:
         papers |= {"steady_gain": gain / damping, "total_lag": 1 / damping if damping > 0 else None}
     rate = f"{POSE_UNITS[name]}/s"
-    own = {"speed": rate, "gain": f"{rate}^2"}
+    own = {"speed": rate, "acceleration": f"{rate}^2", "gain": f"{rate}^2"}
     units = {"damping": "1/s", "damping_at_rest": "1/s", "natural_frequency": "rad/s", "damping_ratio": ""} | {
         "input": f"{rate}^2", "input_up": f"{rate}^2", "input_down": f"{rate}^2", "steady_gain": rate,
         "quadratic_drag": f"1/{POSE_UNITS[name]}",

@@ -84,12 +84,15 @@ def _led(law: Array, z: Array, C: int, sign: float, psi: float) -> None:
 
 
 @inner()
+def _along(z: Array, a: int, c: float, s: float) -> float:
+    """Velocity along axis a of two under a heading."""
+    return c * z[V] + s * z[V + COLUMNS] if a == 0 else c * z[V + COLUMNS] - s * z[V]  # type: ignore[no-any-return]
+
+
+@inner()
 def _limited(law: Array, z: Array, a: int, demanded: float, psi: float) -> float:
     """Acceleration that axis a asks for under a demand, within its limit."""
-    v = z[V]
-    if law.shape[0] == 2:
-        c, s = np.cos(psi), np.sin(psi)
-        v = c * z[V] + s * z[V + COLUMNS] if a == 0 else c * z[V + COLUMNS] - s * z[V]
+    v = z[V] if law.shape[0] == 1 else _along(z, a, np.cos(psi), np.sin(psi))
     return min(max(demanded - law[a, DAMPING] * v, -law[a, LIMIT]), law[a, LIMIT])  # type: ignore[no-any-return]
 
 
@@ -146,6 +149,10 @@ def settle(law: Array, z: Array, C: int, yaw: float) -> None:
             z[Q + at] = z[W + at]
             if law[a, ORDER] == 2:
                 z[Q + at] += z[T + at] - law[a, DAMPING] * (c * x + s * y if a == 0 else c * y - s * x)
+            if int(law[a, KICKS]) & 4:
+                asked = z[W + COLUMNS * a] - law[a, DAMPING] * _along(z, a, c, s)
+                if abs(asked) > law[a, LIMIT]:
+                    z[Q + at] = z[T + at] + (np.sign(asked) * law[a, LIMIT] if j == 0 else 0.0)
         if lags_in_world(law):
             x, y = z[Q + j], z[Q + COLUMNS + j]
             z[Q + j], z[Q + COLUMNS + j] = c * x - s * y, s * x + c * y

@@ -53,7 +53,7 @@ def constants(subject: Subject) -> Iterator[Constant]:
         point, speed = subject.point(axis), f"{POSE_UNITS[axis]}/s"
         unit = subject.commands[AXES.index(axis)].unit
         per = "command of 1" if unit in ("fraction", "unit of command") else unit
-        units = {"speed": speed, "gain": f"{speed}^2 per {per}", "command": unit}
+        units = {"speed": speed, "acceleration": f"{speed}^2", "gain": f"{speed}^2 per {per}", "command": unit}
         yield Constant(f"INPUT_{axis.upper()}", point.input, f"{speed}^2 per {per}")
         yield Constant(f"DAMPING_{axis.upper()}", point.damping, "1/s")
         for extra in subject.structure(axis).extras:
@@ -93,11 +93,18 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
         lagged = f"(({one} - {lead}) * {w} + {trim} - {damping} - {q}) / {c('lag')}"
         return Equation(axis, demand, f"{q} + {lead} * {w}", lagged, f"({one} - {lead}) * {w} - {damping}")
     if structure.order == 2:
-        return Equation(axis, demand, q, f"({w} + {trim} - {damping} - {q}) / {c('lag')}", f"{w} - {damping}")
+        asked = f"{w} - {damping}"
+        if structure.limited:
+            asked = _within(asked, c("acceleration_limit"), language)
+        return Equation(axis, demand, q, f"({asked} + {trim} - {q}) / {c('lag')}", asked)
     if structure.order == 1:
         lagged = f"({w} - {q}) / {c('lag')}" + _turning(subject, axis)
         return Equation(axis, demand, f"{q} - {damping} + {trim}", lagged, w)
     return Equation(axis, demand, f"{w} - {damping} + {trim}")
+
+
+def _within(value: str, limit: str, language: Language) -> str:
+    return f"{language.smaller}({language.larger}({value}, -{limit}), {limit})"
 
 
 def _turning(subject: Subject, axis: str) -> str:
@@ -117,7 +124,7 @@ def _answered(axis: str, names: set[str], c: Callable[[str], str], language: Lan
     if "asymmetry" in names:
         return f"({u} + {c('asymmetry')} * {language.absolute}({u}))"
     if "level" in names:
-        return f"{language.smaller}({language.larger}({u}, -{c('level')}), {c('level')})"
+        return _within(u, c("level"), language)
     if "dead_zone" in names:
         above, below = (f"{language.larger}({sign}{u} - {c('dead_zone')}, {language.zero})" for sign in ("", "-"))
         return f"({above} - {below})"
