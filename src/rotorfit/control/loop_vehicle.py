@@ -84,10 +84,14 @@ def loop_vehicle(structure: Structure, point: Predictor) -> LoopVehicle | None:
 
 
 def first_order_about(vehicle: LoopVehicle) -> AxisBelief:
-    """A vehicle, whose lag is on its input, as one with a delay alone that is as late."""
+    """A vehicle, without a zero, as one of the first order that is as late: its faster pole becomes delay."""
     if isinstance(vehicle, AxisBelief):
         return vehicle
-    return AxisBelief(vehicle.gain, vehicle.damping, vehicle.delay + (vehicle.lag if vehicle.order == 1 else 0.0))
+    g, b, delay, lag, _, order = vehicle
+    if order == 1:
+        return AxisBelief(g, b, delay + lag)
+    slow = 2.0 * b / (1.0 + np.sqrt(max(1.0 - 4.0 * b * lag, 0.0)))  # the time constants of both poles add to 1 / b
+    return AxisBelief(g * slow / b, slow, delay + 1.0 / b - 1.0 / slow)
 
 
 def vehicle_step(vehicle: LoopVehicle, reach: float, period: float) -> tuple[Array, Array, Array]:

@@ -8,8 +8,8 @@ import numpy as np
 from rotorfit.control.control_law import AxisLaw
 from rotorfit.control.loop_vehicle import (
     LoopVehicle,
-    damping_at_rest,
     differs_at_hover,
+    first_order_about,
     has_own_margins,
     has_quadratic_drag,
     loop_vehicle,
@@ -100,9 +100,10 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
     """
     own = differs_at_hover(structure_named(model.axes[axis].structure))
     law = laws_of_vehicle(model, axis)[0] if own else first_order(model, axis)
-    point = law.predictor
-    late = max(point.delay, 0.0) if _knows_the_delay(law) else 0.0
-    return AxisBelief(point.input, damping_at_rest(point), late + point.extra.get("lag", 0.0))
+    point = law.predictor if _knows_the_delay(law) else replace(law.predictor, delay=0.0)
+    vehicle = loop_vehicle(structure_named(law.structure), point)
+    assert vehicle is not None  # of the first order, or about hover
+    return first_order_about(vehicle)
 
 
 def _knows_the_delay(law: Weighed) -> bool:

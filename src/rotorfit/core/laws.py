@@ -243,7 +243,7 @@ STRUCTURES: Mapping[str, Structure] = {
             (_LAG, Extra("acceleration_limit", LIMIT, 0.01, 100.0, logarithmic=True, unit="acceleration")),
             order=2,
             linear=False,
-            tried=(),
+            tried=("x", "y", "z"),
         ),
     )
 }  # fmt: skip

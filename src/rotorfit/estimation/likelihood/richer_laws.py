@@ -33,7 +33,7 @@ SAME_MAXIMUM = 0.3
 """Distance within which two short climbs count as on their way to one maximum [standard errors]: all of nine pairs on
 two flights ended there; of pairs 0.5 to 1 apart one did not."""
 
-LIMITED = (1.0, 0.7), (1.5, 0.3), (2.0, 0.15)
+LIMITED = (1.0, 0.5), (1.7, 0.2)
 """Starts of a law with a limit of the acceleration: how much faster than the law without it, and the limit over what the
 largest command asks for at rest."""
 
