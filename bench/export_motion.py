@@ -101,22 +101,30 @@ def _along(state: Array) -> list[float]:
 
 
 def _settled(law: dict[str, Array], state: Array, u: Array) -> list[float]:
-    rows = zip(AXES, _demands(law, u), _along(state), strict=True)
-    return [_asked(law[axis], w, v) if law[axis][ORDER] == 2 else w for axis, w, v in rows]
+    w = np.array(_demands(law, u))
+    return [
+        a if law[axis][ORDER] == 2 else b for axis, a, b in zip(AXES, _asked(law, w, _along(state)), w, strict=True)
+    ]
 
 
-def _asked(law: Array, w: float, v: float) -> float:
-    return float(np.clip(w - law[1] * v, -law[LIMIT], law[LIMIT]))
+def _asked(law: dict[str, Array], w: Array, v: list[float]) -> Array:
+    """What second orders ask for, z alone and x with y within their limits."""
+    asked = w - np.array([law[axis][1] for axis in AXES]) * v
+    over = asked / np.array([law[axis][LIMIT] for axis in AXES])
+    size = np.array([np.hypot(*over[:2])] * 2 + [abs(over[2]), abs(over[3])])
+    limited = np.isfinite([law[axis][LIMIT] for axis in AXES])
+    return np.asarray(np.where(limited, asked / np.maximum(1.0, size), asked))
 
 
 def _rate(law: dict[str, Array], state: Array, u: Array) -> Array:
     v, w, a, dq = _along(state), _demands(law, u), np.zeros(4), np.zeros(4)
+    asked = _asked(law, np.array(w), v)
     for k, axis in enumerate(AXES):
         b, T, m, V, cross = law[axis][[1, 4, 8, 9, 11]]
         drag = b * (1 - m + (m * abs(v[k]) / V if m else 0.0)) * v[k]
         q = state[8 + k]
         if law[axis][ORDER] == 2:
-            a[k], dq[k] = q, (_asked(law[axis], w[k], v[k]) - q) / T
+            a[k], dq[k] = q, (asked[k] - q) / T
         elif law[axis][ORDER] == 1:
             a[k], dq[k] = q - drag, (w[k] - q) / T
         else:

@@ -143,6 +143,27 @@ def test_quadratic_drag_is_drawn_as_the_damping_at_hover_which_is_the_least() ->
     assert np.array(believed_possible(dragged(1.0), "x", 400, 0))[:, 1].min() == 0.0  # drag gives no speed
 
 
+def limited() -> Model:
+    """A model of x that asks for at most 0.9 m/s^2, beside it a first-order law as slow as large commands make it."""
+    point = Predictor(5.0, 2.5, 0.2, {"lag": 0.08, "acceleration_limit": 0.9})
+    covariance = np.diag((0.1, 0.05, 0.005, 0.004, 0.02)) ** 2
+    model = known_as(Predictor(2.0, 1.0, 0.3), covariance[:3, :3], {})
+    x = model.axes["x"]
+    plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
+    own = replace(x, structure="limited_acceleration", predictor=point, plain=plain, ci95={})
+    names = (*model.covariance_names, "x.lag", "x.acceleration_limit")
+    return replace(model, axes={**model.axes, "x": own}, covariance_names=names, covariance=covariance)
+
+
+def test_a_limited_acceleration_is_drawn_as_the_motion_below_the_limit_which_is_faster_than_that_flown() -> None:
+    slow, fast = np.sort(-np.roots([0.08, 1.0, 2.5]))  # T s^2 + s + b
+    assert known_dynamics(limited(), "x") == pytest.approx((5.0 * slow / 2.5, slow, 0.2 + 1 / fast))
+    assert known_vehicle(limited(), "x") == pytest.approx((5.0, 2.5, 0.2, 0.08, 0.0, 2))
+    drawn = np.array(believed_possible(limited(), "x", 2000, 0))
+    assert drawn.mean(axis=0)[:4] == pytest.approx([5.0, 2.5, 0.2, 0.08], rel=0.02)
+    assert drawn.std(axis=0)[0] == pytest.approx(0.1, rel=0.1)
+
+
 def test_a_side_on_which_the_interval_reaches_further_than_the_standard_error_is_drawn_to_its_end() -> None:
     model = model_of()
     x = model.axes["x"]

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_robustness import dragged, without_delays
+from test_robustness import dragged, limited, without_delays
 
 from models import VEHICLE, demo_card, model_of, with_poses
 from rotorfit.control.control_law import KINDS, Kind
+from rotorfit.control.loop_vehicle import LaggedAxis
 from rotorfit.control.margins import margins
 from rotorfit.control.robustness import believed_possible
 from rotorfit.control.tuning import DELAY_SHARE, PEAK, RESTLESS, tune
@@ -75,6 +76,15 @@ def test_gains_of_a_vehicle_with_quadratic_drag_keep_their_promise_from_hover_to
         assert true.peak <= one.robustness.peak <= PEAK
         assert true.delay >= one.robustness.delay
     assert one.note.startswith("gains and margins are those of quadratic_drag at hover")
+
+
+def test_gains_of_a_vehicle_with_a_limit_are_those_of_its_motion_below_it() -> None:
+    one = tune(limited(), axes=("x",), draws=50).axes["x"]
+
+    true = margins(one.law, LaggedAxis(5.0, 2.5, 0.2, 0.08, 0.0, 2))
+    assert true.peak == pytest.approx(one.margins.peak, rel=1e-6)
+    assert one.margins.peak <= one.robustness.peak <= PEAK
+    assert one.note.startswith("gains and margins are those of motion that asks for less than the limit of about 0.9 m")
 
 
 def test_gains_are_for_as_many_commands_as_the_flights_had_poses() -> None:
@@ -199,7 +209,7 @@ def test_noise_of_the_command_is_in_its_own_unit_where_commands_are_in_si_withou
 
 @pytest.mark.parametrize(
     ("test", "said"),
-    [("bound", "the margins are not those of small motion: no more than 1 m/s^2; fit flights with commands too small"),
+    [("bound", "the margins are not those of small motion: no more than 1 m/s^2; fit with --structure limited_acceleration, or"),
      ("time", "the margins are those of the law, which the flights deny: no more than 1 m/s^2")],
 )  # fmt: skip
 def test_what_the_flights_say_against_the_law_is_said_of_its_margins(test: str, said: str) -> None:

@@ -53,8 +53,19 @@ def test_intervals_hold_the_vehicle_below_its_bound() -> None:
         assert told(axes[name]) == {"bound"}
         assert size_of(evidence(axes[name], "bound")) == pytest.approx(BOUND, rel=0.25)
         assert "m/s^2: chi-square" in evidence(axes[name], "bound").strength
+        assert "fit with --structure limited_acceleration" in next(law_findings(name, axes[name])).remedy
         assert misses(axes[name], name) == []
     assert not inside(POINTS["y"][0], axes["y"].ci95_flight["input"])
+
+
+def test_the_law_with_a_limit_tells_what_the_law_without_it_leaves_wide() -> None:
+    wide, axes = fitted(0.8, BOUND).model.axes, fitted(0.8, BOUND, structure="limited_acceleration").model.axes
+
+    for name in "xy":
+        assert inside(BOUND, axes[name].ci95["acceleration_limit"])
+        assert told(axes[name]) == set()
+        narrow, other = (one[name].ci95["input"] for one in (axes, wide))
+        assert narrow[1] - narrow[0] < 0.6 * (other[1] - other[0])  # type: ignore[operator]
 
 
 def test_intervals_hold_the_vehicle_whose_acceleration_changes_slowly() -> None:

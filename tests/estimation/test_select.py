@@ -38,7 +38,7 @@ def strong(name: str) -> Model:
     return fit([flight], axes=("z",), structure="auto").model
 
 
-@pytest.mark.parametrize("name", ["first_order_delay_lag", "quadratic_drag", "climb_descent"])
+@pytest.mark.parametrize("name", ["first_order_delay_lag", "quadratic_drag", "climb_descent", "limited_acceleration"])
 def test_a_strong_lag_drag_or_asymmetry_is_found(name: str) -> None:
     axis = strong(name).axes["z"]
 

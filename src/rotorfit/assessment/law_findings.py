@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from rotorfit.core.finding import Finding
+from rotorfit.core.laws import structure_named
 from rotorfit.core.model import Axis, Predictor, first_order_beside
 from rotorfit.estimation.judgement.omitted_terms import SLOW
 
@@ -18,9 +19,9 @@ STAMPS_ALONE = (
 
 SMALLER = (
     "fit flights whose commands all have the size that the model is wanted for: smaller ones where large ones reach a "
-    "limit of the vehicle, as of its tilt, which none of the structures has"
+    "limit of the vehicle, as of its tilt"
 )
-"""Remedy where small and large commands do not agree: no law that is tried bounds the acceleration."""
+"""Remedy where small and large commands do not agree."""
 
 LASTING = (
     f"fly commands of the length that the model is wanted for, of {3 * SLOW:.0f} s and more where final speeds matter: "
@@ -91,6 +92,8 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
 def _law(axis: Axis) -> str:
     """The law to fit next: the one that has what is missing, if it is known; empty where none of the structures has."""
     tests = {one.test for one in axis.evidence}
+    if "bound" in tests and not structure_named(axis.structure).limited:
+        return "limited_acceleration"
     if "drag" in tests and "size" not in tests:
         return "quadratic_drag"
     return "" if "twice" in tests else "auto"  # commands that saturate look like drag, too: `auto` tries both

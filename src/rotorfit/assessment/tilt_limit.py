@@ -1,7 +1,8 @@
 """Fit -> findings: velocity commands that ask for more acceleration than the card's tilt limit gives.
 
-A velocity loop asks for the acceleration g u(t - tau) - b v and tilts as far, up to its limit. No structure has such a
-bound, so what it cuts off enters delay, lag, damping and input. How much it cuts follows from the law and the commands.
+A velocity loop asks for the acceleration g u(t - tau) - b v and tilts as far, up to its limit. But for
+`limited_acceleration` no structure has such a bound, so what it cuts off enters delay, lag, damping and input. How much
+it cuts follows from the law and the commands.
 Whether the vehicle obeys it is shown by the measured acceleration: of what exceeds the limit, an unbounded vehicle
 shows all, a bounded one little, as far as the fit has not bent to it.
 """
@@ -16,7 +17,7 @@ from rotorfit.core.display import counted
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import Array, heading_from_world, world_from_heading
-from rotorfit.core.laws import STRUCTURES, law_of
+from rotorfit.core.laws import STRUCTURES, law_of, structure_named
 from rotorfit.core.limits import GRAVITY, limit_text, meaning_of
 from rotorfit.core.model import STRUCTURE, Model, Predictor, first_order
 from rotorfit.core.results import Fit, student_quantile
@@ -104,7 +105,7 @@ def findings_of_tilt(fit: Fit) -> Iterator[Finding]:
             + seen,
             f"{'' if obeyed else 'if the vehicle obeys this limit, '}delay, lag, damping and input of {name} describe "
             "the limit, too: for small commands they are others, and the intervals do not cover that",
-            f"fly commands of {name} that change by {step:.2g} at most, by {step / math.sqrt(2):.2g} where x and y "
+            f"fit with --structure limited_acceleration; or fly commands of {name} that change by {step:.2g} at most, by {step / math.sqrt(2):.2g} where x and y "
             "change together; or correct tilt in [limits] of the card, if the vehicle tilts further",
             name,
         )
@@ -115,7 +116,8 @@ def _looped(model: Model, axis: str) -> bool:
     known = model.axes[axis]
     told = "not_identifiable" not in (known.status["input"], known.status["damping"])
     velocity = meaning_of(model.card, axis).asked == "velocity"
-    return told and velocity and known.predictor is not None and known.predictor.damping > 0
+    free = not structure_named(known.structure).limited
+    return told and velocity and free and known.predictor is not None and known.predictor.damping > 0
 
 
 def _reach(flight: Flight) -> float:

@@ -419,8 +419,8 @@ def _denied(known: Axis) -> list[str]:
     told = {one.test: one.strength for one in known.evidence}
     if "bound" in told:
         return [
-            f"the margins are not those of small motion: {told['bound']}; fit flights with commands too small to reach "
-            "that"
+            f"the margins are not those of small motion: {told['bound']}; fit with --structure limited_acceleration, "
+            "or flights with commands too small to reach that"
         ]
     return [f"the margins are those of the law, which the flights deny: {why}" for why in list(told.values())[:1]]
 

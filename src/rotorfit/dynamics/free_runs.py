@@ -250,6 +250,7 @@ def _move(
     yqv, yqq, yqc = S[1, 0, 8], S[1, 0, 9], S[1, 0, 11]
     ypw, yvw, yqw = S[1, 0, 2], S[1, 0, 6], S[1, 0, 10]
     bx, by, most_x, most_y = law[0, DAMPING], law[1, DAMPING], law[0, LIMIT], law[1, LIMIT]
+    bent_x, bent_y = int(law[0, KICKS]) & 4 > 0, int(law[1, KICKS]) & 4 > 0
     for j in range(max(one, 0), past):
         vx, vy, qx, qy, tx, ty = w[_VX + j], w[_VY + j], w[_QX + j], w[_QY + j], w[_TX + j], w[_TY + j]
         c, s = w[_C + j], w[_S + j]
@@ -259,7 +260,9 @@ def _move(
         ux, uy = wx, wy
         if limited:
             mx, my = bx * (vx + 0.5 * limited * qx), by * (vy + 0.5 * limited * qy)
-            ux, uy = min(max(wx - mx, -most_x), most_x) + mx, min(max(wy - my, -most_y), most_y) + my
+            dx, dy = wx - mx, wy - my
+            share = 1.0 / max(1.0, np.sqrt((dx / most_x) ** 2 + (dy / most_y) ** 2))
+            ux, uy = mx + (share if bent_x else 1.0) * dx, my + (share if bent_y else 1.0) * dy
         px, py = xpv * vx + xpq * qx + xpw * ux + xpc * tx, ypv * vy + ypq * qy + ypw * uy + ypc * ty
         lx, ly = xqv * vx + xqq * qx + xqw * ux + xqc * tx, yqv * vy + yqq * qy + yqw * uy + yqc * ty
         w[_QX + j], w[_QY + j] = qc * lx - qs * ly, qs * lx + qc * ly

@@ -90,10 +90,13 @@ def _along(z: Array, a: int, c: float, s: float) -> float:
 
 
 @inner()
-def _limited(law: Array, z: Array, a: int, demanded: float, psi: float) -> float:
-    """Acceleration that axis a asks for under a demand, within its limit."""
-    v = z[V] if law.shape[0] == 1 else _along(z, a, np.cos(psi), np.sin(psi))
-    return min(max(demanded - law[a, DAMPING] * v, -law[a, LIMIT]), law[a, LIMIT])  # type: ignore[no-any-return]
+def _limited(law: Array, z: Array, a: int, first: float, second: float, psi: float) -> float:
+    """Acceleration that axis a asks for under the demands of both axes, within the limit."""
+    if law.shape[0] == 1:
+        return min(max(first - law[0, DAMPING] * z[V], -law[0, LIMIT]), law[0, LIMIT])  # type: ignore[no-any-return]
+    c, s = np.cos(psi), np.sin(psi)
+    x, y = first - law[0, DAMPING] * _along(z, 0, c, s), second - law[1, DAMPING] * _along(z, 1, c, s)
+    return (x if a == 0 else y) / max(1.0, np.hypot(x / law[0, LIMIT], y / law[1, LIMIT]))  # type: ignore[no-any-return]
 
 
 @inner()
@@ -120,7 +123,8 @@ def _switch(
         for a in range(K):
             before, after = before0 if a == 0 else before1, z[W + COLUMNS * a]
             if int(law[a, KICKS]) & 4:
-                before, after = _limited(law, z, a, before, psi), _limited(law, z, a, after, psi)
+                before = _limited(law, z, a, before0, before1, psi)
+                after = _limited(law, z, a, z[W], z[W + COLUMNS * (K - 1)], psi)
             impulse = before - after
             if law[a, ORDER] > 0:
                 lead = law[a, ZERO] / law[a, LAG]
@@ -149,10 +153,8 @@ def settle(law: Array, z: Array, C: int, yaw: float) -> None:
             z[Q + at] = z[W + at]
             if law[a, ORDER] == 2:
                 z[Q + at] += z[T + at] - law[a, DAMPING] * (c * x + s * y if a == 0 else c * y - s * x)
-            if int(law[a, KICKS]) & 4:
-                asked = z[W + COLUMNS * a] - law[a, DAMPING] * _along(z, a, c, s)
-                if abs(asked) > law[a, LIMIT]:
-                    z[Q + at] = z[T + at] + (np.sign(asked) * law[a, LIMIT] if j == 0 else 0.0)
+            if int(law[a, KICKS]) & 4 and j == 0:
+                z[Q + at] = z[T + at] + _limited(law, z, a, z[W], z[W + COLUMNS], yaw)
         if lags_in_world(law):
             x, y = z[Q + j], z[Q + COLUMNS + j]
             z[Q + j], z[Q + COLUMNS + j] = c * x - s * y, s * x + c * y

@@ -287,31 +287,52 @@ def _kick(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: f
 
 
 @inner()
-def _limit(law: Array, what: Any, whose: Any, z: Array, a: int, c: float, s: float, dt: float) -> None:
-    """Replaces the demand of axis a by what its limit leaves of it over a step, in all columns; keeps it in `ASKED`.
+def _limit(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: float) -> None:
+    """Replaces the demands by what a limit leaves of them over a step, in all columns, and keeps them in `ASKED`.
 
-    The velocity that counts is that of the middle of the step.
+    The velocities that count are those of the middle of the step. Two axes with limits have one together: within the
+    ellipse of both.
     """
-    K, C, own = law.shape[0], what.size, COLUMNS * a
-    b, x, y = law[a, DAMPING], (c, -s)[a], (s, c)[a]
-    within = True
+    K, C = law.shape[0], what.size
+    size, v0, v1, d0, d1 = 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(C):
-        demanded = z[W + own + j]
-        z[ASKED + own + j] = demanded
-        v = x * z[V + j] + y * z[V + COLUMNS + j] if K == 2 else z[V + j]
-        v += 0.5 * dt * z[Q + own + j]
+        x, y = z[V + j], z[V + COLUMNS + j]
+        if K == 2:
+            x, y = c * x + s * y, c * y - s * x
+        x, y = x + 0.5 * dt * z[Q + j], y + 0.5 * dt * z[Q + COLUMNS + j]
         if j == 0:
-            asked, middle = demanded - b * v, v
-            within = abs(asked) <= law[a, LIMIT]
-        if within:
+            v0, v1 = x, y
+            d0 = z[W] - law[0, DAMPING] * x
+            size = (d0 / law[0, LIMIT]) ** 2
+            if K == 2:
+                d1 = z[W + COLUMNS] - law[1, DAMPING] * y
+                size += (d1 / law[1, LIMIT]) ** 2
+        for a in range(K):
+            z[ASKED + COLUMNS * a + j] = z[W + COLUMNS * a + j]
+        if size <= 1.0:
             continue
-        sign = 1.0 if asked > 0 else -1.0
-        left = b * v
-        if j == 0 or (whose[j] == a and what[j] == LIMIT):
-            left += sign * law[a, LIMIT] if j == 0 else sign
-        elif whose[j] == a and what[j] == DAMPING:
-            left += middle
-        z[W + own + j] = left
+        share = 1.0 / np.sqrt(size)
+        by0 = v0 if whose[j] == 0 and what[j] == DAMPING else 0.0
+        by1 = v1 if whose[j] == 1 and what[j] == DAMPING else 0.0
+        left0, left1 = law[0, DAMPING] * x + by0, law[K - 1, DAMPING] * y + by1
+        e0, e1 = z[W + j] - left0, z[W + COLUMNS + j] - left1
+        grow = 0.0  # of the size, over twice itself
+        if j > 0:
+            grow = _growth(law, 0, d0, e0, whose[j] == 0 and what[j] == LIMIT)
+            if K == 2:
+                grow += _growth(law, 1, d1, e1, whose[j] == 1 and what[j] == LIMIT)
+            grow /= size
+        if int(law[0, KICKS]) & 4:
+            z[W + j] = share * (e0 - d0 * grow) + left0
+        if K == 2 and int(law[1, KICKS]) & 4:
+            z[W + COLUMNS + j] = share * (e1 - d1 * grow) + left1
+
+
+@inner()
+def _growth(law: Array, a: int, asked: float, change: float, by_limit: bool) -> float:
+    """Half the change of the square of what axis a asks for over its limit."""
+    most = law[a, LIMIT]
+    return asked * (change - (asked / most if by_limit else 0.0)) / (most * most)  # type: ignore[no-any-return]
 
 
 @inner(fastmath={"contract"})
@@ -359,9 +380,9 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
     K, C = law.shape[0], what.size
     if kicked:
         _kick(law, what, whose, z, c, s, 0.5 * dt)
-    for a in range(K):
-        if int(law[a, KICKS]) & 4:
-            _limit(law, what, whose, z, a, c, s, dt)
+    limited = int(law[0, KICKS]) & 4 > 0 or int(law[K - 1, KICKS]) & 4 > 0
+    if limited:
+        _limit(law, what, whose, z, c, s, dt)
     v0, v1 = z[V], z[V + COLUMNS]
     if K == 2:
         v0, v1 = c * v0 + s * v1, c * v1 - s * v0
@@ -394,8 +415,8 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
         if K == 2:
             z[P + COLUMNS + j] += y * p
             z[V + COLUMNS + j] += y * along
-    for a in range(K):
-        if int(law[a, KICKS]) & 4:
+    if limited:
+        for a in range(K):
             for j in range(C):
                 z[W + COLUMNS * a + j] = z[ASKED + COLUMNS * a + j]
     if kicked:

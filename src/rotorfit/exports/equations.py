@@ -95,7 +95,7 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
     if structure.order == 2:
         asked = f"{w} - {damping}"
         if structure.limited:
-            asked = _within(asked, c("acceleration_limit"), language)
+            asked = f"({asked}) / {language.larger}({one}, {_beyond(subject, axis, language)})"
         return Equation(axis, demand, q, f"({asked} + {trim} - {q}) / {c('lag')}", asked)
     if structure.order == 1:
         lagged = f"({w} - {q}) / {c('lag')}" + _turning(subject, axis)
@@ -105,6 +105,19 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
 
 def _within(value: str, limit: str, language: Language) -> str:
     return f"{language.smaller}({language.larger}({value}, -{limit}), {limit})"
+
+
+def _beyond(subject: Subject, axis: str, language: Language) -> str:
+    """What is asked for over the limit; x and y, where both have one, have it together."""
+    pair = (
+        [k for k in ("x", "y") if k in subject.axes and subject.structure(k).limited] if axis in ("x", "y") else [axis]
+    )
+    parts = []
+    for k in pair:
+        end = f"_{k.upper()}"
+        asked = f"(w_{k} - {language.prefix}DAMPING{end} * {SPEEDS[k]}) / {language.prefix}ACCELERATION_LIMIT{end}"
+        parts.append(f"({asked}) * ({asked})")
+    return f"{language.root}({' + '.join(parts)})"
 
 
 def _turning(subject: Subject, axis: str) -> str:

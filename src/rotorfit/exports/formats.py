@@ -15,6 +15,7 @@ class Language:
         absolute: Name of the function |a|.
         larger: Name of the function max(a, b).
         smaller: Name of the function min(a, b).
+        root: Name of the square root.
         prefix: Prefix of the names of constants; `{NAME}` stands for the name of the vehicle in capitals.
         zero: 0 as a float.
     """
@@ -22,6 +23,7 @@ class Language:
     absolute: str
     larger: str
     smaller: str
+    root: str
     prefix: str = ""
     zero: str = "0.0"
 
@@ -57,7 +59,7 @@ class Format:
     sampled: bool = False
 
 
-NUMPY = Language("np.abs", "np.maximum", "np.minimum")
+NUMPY = Language("np.abs", "np.maximum", "np.minimum", "np.sqrt")
 
 FORMATS: Mapping[str, Format] = {
     "python-control": Format(
@@ -73,7 +75,7 @@ FORMATS: Mapping[str, Format] = {
         "CasADi functions for MPC: right-hand side, exact-delay step, model for acados",
         "casadi.py.j2",
         "CasADi functions: the right-hand side, and a step of any sample period with the exact delay.",
-        Language("ca.fabs", "ca.fmax", "ca.fmin"),
+        Language("ca.fabs", "ca.fmax", "ca.fmin", "ca.sqrt"),
         needs="pip install 'rotorfit[casadi]'; CasADi is LGPL",
     ),
     "numpy": Format(
@@ -88,7 +90,7 @@ FORMATS: Mapping[str, Format] = {
         "the same in JAX: jit, grad, vmap",
         "numpy.py.j2",
         "JAX functions: the right-hand side, and steps of any length with the exact delay.",
-        Language("jnp.abs", "jnp.maximum", "jnp.minimum"),
+        Language("jnp.abs", "jnp.maximum", "jnp.minimum", "jnp.sqrt"),
         needs="pip install 'rotorfit[jax]'",
     ),
     "matlab": Format(
@@ -97,7 +99,7 @@ FORMATS: Mapping[str, Format] = {
         "matlab.m.j2",
         "Functions for MATLAB and Octave: the right-hand side, steps of any length with the exact delay, and the "
         "state space at a fixed heading where the laws are linear.",
-        Language("abs", "max", "min", prefix="p."),
+        Language("abs", "max", "min", "sqrt", prefix="p."),
         named=True,
     ),
     "c": Format(
@@ -105,7 +107,7 @@ FORMATS: Mapping[str, Format] = {
         "C99 header: fixed-step predictor without allocation",
         "c.h.j2",
         "C99 predictor of a fixed step with the exact delay. It allocates nothing and needs math.h only.",
-        Language("fabs", "fmax", "fmin", prefix="{NAME}_"),
+        Language("fabs", "fmax", "fmin", "sqrt", prefix="{NAME}_"),
         sampled=True,
     ),
     "ros1": Format(

@@ -84,7 +84,8 @@ def estimate_laws(
     }
     if all(structure == FIRST_ORDER_DELAY for structure in wanted.values()):
         return dict(estimates)
-    crossed = any(structure.coupled for structure in wanted.values())
+    laws = list(wanted.values())
+    crossed = any(one.coupled for one in laws) or all(one.limited for one in laws)  # a limit of both together
     if len(group) == 2 and (crossed or estimates[group[0]].optimum.point.gain.size == 2):
         return _together(serving, group, estimates, wanted, prior_of, hopeless)
     out = {axis: under_law(estimates[axis], axis, wanted[axis], prior_of) for axis in group}
@@ -117,7 +118,9 @@ def single(
 
 
 def applicable_structure(structure: Structure, group: Sequence[str]) -> Structure:
-    """The structure, or the first-order law where the structure couples x and y and these are not one group."""
+    """The structure; the first-order law where it couples x and y and these are not one group; yaw has no limit."""
+    if structure.limited and tuple(group) == ("yaw",):
+        return STRUCTURES["second_order"]
     return FIRST_ORDER_DELAY if structure.coupled and tuple(group) != ("x", "y") else structure
 
 
