@@ -562,6 +562,18 @@ def test_latched_command(tmp_path: Path) -> None:
     assert "--span :40.0" in found["remedy"]
 
 
+def test_a_stick_that_is_held_in_gusts_is_no_latched_command(tmp_path: Path) -> None:
+    def pilot(t: Array) -> Array:
+        """In each 20 s a stick moves for 4 s, is held for 6 s, and rests."""
+        out, phase = np.zeros((*t.shape, 4)), t % 20
+        out[..., 0] = np.select([phase < 4, phase < 10], [0.1 * np.sin(3 * phase), 0.05])
+        return out
+
+    gusty = replace(TRUTH, wind_sigma=(0.03, 0.03, 0.03, 0.008))
+
+    assert ("latched_command", None) not in said("info", *Csv(flown(pilot, 80.0, gusty)).write(tmp_path))
+
+
 def test_short_data(tmp_path: Path) -> None:
     words = Csv(flown(steps(("z",), seed=2), 12.0)).write(tmp_path)
 

@@ -4,6 +4,7 @@ command."""
 from collections.abc import Iterator
 
 import numpy as np
+import numpy.typing as npt
 
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
@@ -35,18 +36,23 @@ the paper's slow sines on yaw give 0.993, real ones without an identifiable damp
 LAGS = np.arange(0.0, 0.401, 0.04)
 """Delays that are tried [s]."""
 
-LATCH_TIME = 3.0
-"""Shortest interval of a constant command that may be latched [s]."""
+LATCH_TIME = 5.0
+"""Shortest interval of a constant command that may be latched [s]: pilots hold a stick for 3 s, and what is left after
+settling is too short to tell gusts from motion."""
 
 LATCH_CHANGES = 20.0
 """Least length of such an interval, in median times between changes."""
 
 LATCH_MOTION = 0.7
-"""Ratio of the velocity change over half a second in that interval to that under changing commands above which the
-vehicle no longer obeys the command."""
+"""Ratio of the velocity change over half a second in that interval to that under changing commands, both beyond that at
+rest, above which the vehicle no longer obeys the command."""
 
-LATCH_SETTLING = 1.0
-"""Time after which the response to the last change has settled except for its damping [s]."""
+LATCH_SETTLING = 2.0
+"""Time after which the response to the last change has settled except for its damping [s]. Poses of a GPS filter add
+some 0.3 s to the lag of a velocity loop."""
+
+LATCH_STEP = 0.5
+"""Time over which the velocity's change is taken [s]."""
 
 
 def motion_findings(recording: Recording) -> Iterator[Finding]:
@@ -155,30 +161,45 @@ def _latched(flight: Flight, motion: Motion) -> Iterator[Finding]:
     values = flight.command[np.concatenate([[0], changes])]
     longest = max(LATCH_TIME, LATCH_CHANGES * float(np.median(np.diff(starts))))
     time, moved = _velocity_changes(motion)
-    quiet = np.zeros(len(time), dtype=np.bool_)
-    suspects = np.flatnonzero((ends - starts > longest) & np.any(values != 0, axis=1))
+    still = ends - starts > longest
+    zero = np.all(values == 0, axis=1)
+    suspects = np.flatnonzero(still & ~zero)
+    quiet = _within(time, starts[still], ends[still])
+    resting = _within(time, starts[still & zero] + LATCH_SETTLING, ends[still & zero] - LATCH_STEP)
+    # Gusts and noise of the pose move a vehicle at rest, too: they do not tell that a command has ended.
+    rest = _mean_square(moved[resting])
+    usual = _mean_square(moved[~quiet]) - rest
     for i in suspects:
-        quiet |= (time > starts[i]) & (time < ends[i])
-    usual = np.sqrt(np.mean(moved[~quiet] ** 2)) if np.any(~quiet) else np.inf
-    for i in suspects:
-        inside = (time > starts[i] + LATCH_SETTLING) & (time < ends[i])
-        ratio = float(np.sqrt(np.mean(moved[inside] ** 2)) / usual) if np.any(inside) else 0.0
-        if ratio > LATCH_MOTION:
+        inside = (time > starts[i] + LATCH_SETTLING) & (time < ends[i] - LATCH_STEP)
+        excess = _mean_square(moved[inside]) - rest
+        if usual > 0 and excess > LATCH_MOTION**2 * usual:
+            ratio = np.sqrt(excess / usual)
             last = ends[i] >= flight.segments[-1].end - 1e-9
             yield Finding(
                 "latched_command",
                 "warning",
                 f"all commands stand still for {ends[i] - starts[i]:.1f} s from {starts[i]:.2f} s on"
                 f"{' to the end' if last else ''}, while the velocity changes {ratio:.2g} times as much as under "
-                "changing commands",
+                f"changing commands{', both beyond that at rest' if np.any(resting) else ''}",
                 "motion that this command did not cause pulls input gain and damping of every commanded axis towards 0",
                 f"give the span before it, --span :{starts[i]:.1f}" if last else "leave the stretch out by --span",
             )
 
 
+def _within(time: Array, starts: Array, ends: Array) -> npt.NDArray[np.bool_]:
+    """Whether each time lies in one of the intervals."""
+    there: npt.NDArray[np.bool_] = np.any((time > starts[:, None]) & (time < ends[:, None]), axis=0)
+    return there
+
+
+def _mean_square(values: Array) -> float:
+    """Mean square, 0 of nothing."""
+    return float(np.mean(values**2)) if len(values) else 0.0
+
+
 def _velocity_changes(motion: Motion) -> tuple[Array, Array]:
     """Start and size of the change of the velocity over half a second, x, y and z combined."""
-    after = np.searchsorted(motion.time, motion.time + 0.5)
+    after = np.searchsorted(motion.time, motion.time + LATCH_STEP)
     there = after < len(motion.time)
     there[there] &= motion.time[after[there]] - motion.time[there] < 0.7
     yaw, velocity = motion.yaw, motion.velocity[:, :3].copy()
