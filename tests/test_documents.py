@@ -22,6 +22,7 @@ from rotorfit.app.cli import main
 from rotorfit.assessment import advice, coefficient_findings, plausibility, whiteness
 from rotorfit.core.frames import AXES, UNIT_SCALE
 from rotorfit.diagnosis import clock_checks, command_checks, doctor, frame_checks, motion_checks, pose_checks
+from rotorfit.diagnosis.globe import metres_per_degree
 from rotorfit.dynamics import protocol as forecast
 from rotorfit.estimation.identifiability import LEAST_TIME, WIDEST_DELAY, WIDEST_INPUT
 from rotorfit.estimation.likelihood import axis_estimate as estimate
@@ -334,7 +335,10 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
         f"correlation beyond {motion_checks.FOLLOWS:g}",
         f"less than {100 * motion_checks.EXPLAINED:g} % of the acceleration",
         f"more than {motion_checks.LATCH_TIME:g} s and {motion_checks.LATCH_CHANGES:g} times the usual time",
-        f"at least {100 * motion_checks.LATCH_MOTION:g} % as much",
+        f"more than {motion_checks.LATCH_UNEXPLAINED:g} times that elsewhere",
+        f"more than {100 * motion_checks.LATCH_MOTION:g} % of the changes under changing commands",
+        f"stays within {coefficient_findings.FAR_INSIDE:g} s of it",
+        f"that stay within {pose_checks.FEW_DEGREES:g}, are in degrees",
         f"more than {feedback.LOOP_SIGMAS:g} standard deviations of an open loop",
         f"of more than {np.degrees(frame_checks.OFF):g} degrees and {frame_checks.SIGNIFICANT:g} standard errors",
         f"more than {pose_checks.FASTEST:g} m/s or {pose_checks.HARDEST:g} m/s^2",
@@ -355,13 +359,21 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
 
 
 def test_the_complete_card_of_the_documents_loads_and_holds_every_key() -> None:
-    (text,) = blocks(CARDS, "toml")
+    (text,) = blocks(section(CARDS, "A complete card"), "toml")
     complete = card_from_mapping(tomllib.loads(text), "docs/cards.md")
     keys = set(re.findall(r"^#? ?(\w+) = ", text, re.MULTILINE)) | set(re.findall(r"[{,] (\w+) = ", text))
 
     assert set(complete.command) == set(AXES)
     assert set(complete.velocity) == set(complete.reference) == set(AXES)
     assert keys == known_keys()
+
+
+def test_the_card_for_latitude_and_longitude_is_in_metres() -> None:
+    (text,) = blocks(section(CARDS, "Units, by example"), "toml")
+    card = card_from_mapping(tomllib.loads(text), "docs/cards.md")
+    east, north = metres_per_degree(47.4)
+    assert card.pose["x"].scale == pytest.approx(east, rel=2e-4)
+    assert card.pose["y"].scale == pytest.approx(north, rel=2e-4)
 
 
 def test_every_line_that_shows_a_unit_is_one_of_a_card() -> None:

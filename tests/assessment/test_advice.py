@@ -201,6 +201,35 @@ def test_a_delay_at_the_end_of_its_range_is_an_error() -> None:
         assert found(at_bound)["delay_at_bound", "z"].severity == "error"
 
 
+@pytest.mark.parametrize(
+    ("bound", "ends", "error"),
+    [(1, (0.29, None), False), (1, (None, None), False), (1, (0.45, None), True), (0, (None, 0.2), False)],
+)
+@pytest.mark.parametrize("path", ["flight.csv", "flight.mcap"])
+def test_a_bound_that_is_merely_the_best_of_a_flat_likelihood_proves_nothing_of_clocks(
+    bound: int, ends: tuple[float | None, float | None], error: bool, path: str
+) -> None:
+    axis = well().model.axes["z"]
+    assert axis.predictor is not None
+    at_bound = changed(
+        well(),
+        predictor=Predictor(axis.predictor.input, axis.predictor.damping, DELAY_RANGE[bound]),
+        status={**axis.status, "delay": "not_identifiable"},
+        ci95={**axis.ci95, "delay": ends},
+    )
+    flight = at_bound.flights[0]
+    card = replace(flight.card, command_time=flight.card.pose_time)
+    one_clock = replace(flight, card=card if path == "flight.csv" else flight.card, path=path)
+
+    told = found(replace(at_bound, flights=(one_clock,), estimates={}))
+    assert (("delay_at_bound", "z") in told) == error
+    if not error:
+        flat = told["delay_not_identifiable", "z"]
+        assert f"{DELAY_RANGE[bound]:.2f} s" in flat.evidence
+        assert flat.severity == ("info" if path == "flight.csv" else "warning")
+        assert ("clocks" in flat.remedy) == (path == "flight.mcap")
+
+
 def test_what_is_not_identifiable_is_told_with_what_is_known_instead() -> None:
     result = fit_as_flown([flown(NO_STALE, partial(two_sines, axes=("z",), amplitude=0.5), 60.0, 3)], axes=("z",))
     axis = result.model.axes["z"]

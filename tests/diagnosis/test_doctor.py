@@ -562,6 +562,29 @@ def test_latched_command(tmp_path: Path) -> None:
     assert "--span :40.0" in found["remedy"]
 
 
+GUSTY = replace(TRUTH, wind_sigma=(0.03, 0.03, 0.03, 0.008))
+
+
+def held_stick(t: Array) -> Array:
+    """In each 20 s a stick moves for 4 s, is held for 6 s, and rests."""
+    out, phase = np.zeros((*t.shape, 4)), t % 20
+    out[..., 0] = np.select([phase < 4, phase < 10], [0.1 * np.sin(3 * phase), 0.08])
+    return out
+
+
+def test_a_stick_that_is_held_in_gusts_is_no_latched_command(tmp_path: Path) -> None:
+    assert ("latched_command", None) not in said("info", *Csv(flown(held_stick, 80.0, GUSTY)).write(tmp_path))
+
+
+def test_a_latched_command_is_told_in_gusts_where_the_vehicle_rests_meanwhile(tmp_path: Path) -> None:
+    log = Csv(flown(held_stick, 100.0, GUSTY))
+    log.command[log.command_time > 69] = log.command[np.searchsorted(log.command_time, 69)]
+
+    found = said("info", *log.write(tmp_path))["latched_command", None]
+    length, start, _ = numbers(found["evidence"])
+    assert (length, start) == pytest.approx((36, 64), abs=0.1)
+
+
 def test_short_data(tmp_path: Path) -> None:
     words = Csv(flown(steps(("z",), seed=2), 12.0)).write(tmp_path)
 

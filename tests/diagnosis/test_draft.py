@@ -1,6 +1,7 @@
 """Drafts of cards: they load and give a flight, or say what they lack."""
 
 import itertools
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from test_survey import csv_log, loaded, log_of, message_log
 from flights import flown, steps
 from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import CardError
-from rotorfit.core.frames import heading_from_world, world_from_heading
+from rotorfit.core.frames import Array, heading_from_world, world_from_heading
 from rotorfit.core.log import Log, Table
 from rotorfit.diagnosis import card_choice
 from rotorfit.diagnosis.card_draft import draft_card, write_draft
@@ -516,6 +517,92 @@ def test_a_draft_reads_a_compass_as_clockwise_from_north(tmp_path: Path) -> None
     assert {one.scale for one in card.command.values()} == {1}
     turned = np.unwrap(flight_from_log(log, card).yaw)
     np.testing.assert_allclose(turned - turned[0], np.unwrap(true["yaw"])[: turned.size] - true["yaw"][0], atol=1e-6)
+
+
+def fixes(at: tuple[float, float], east: Array, north: Array) -> dict[str, Array]:
+    """Longitude and latitude in degrees, on a sphere: within 0.6 % of the ellipsoid here."""
+    degree = np.radians(6378137.0)
+    return {"lon": at[1] + east / degree / np.cos(np.radians(at[0])), "lat": at[0] + north / degree}
+
+
+@pytest.mark.parametrize("ahead", [None, 0.0, 1.4, 2.5])
+@pytest.mark.parametrize("size", [1.0, 1e7])
+def test_a_log_in_degrees_of_the_globe_with_velocities_to_north_and_east_is_drafted(
+    ahead: float | None, size: float, tmp_path: Path
+) -> None:
+    """With a heading that turns, and with one that is held, in which the motion does not tell the frame."""
+    true = motion(world=True)
+    yaw = true["yaw"] if ahead is None else np.full(T.size, ahead)
+    columns = {
+        "utc": np.round((1.788e9 + T) * 1e9).astype(np.int64),
+        **{name: np.round(size * values, 9) for name, values in fixes((47.4, 8.5), true["x"], true["y"]).items()},
+        "alt": 450 + true["z"],
+        "heading": np.degrees(np.pi / 2 - yaw) % 360,
+        "cmd_vn": COMMAND["y"],
+        "cmd_ve": COMMAND["x"],
+        "cmd_climb": COMMAND["z"],
+        **({"cmd_yawrate": -np.degrees(COMMAND["yaw"])} if ahead is None else {}),
+    }
+    log = log_of(flight=columns)
+    card = loaded(text := draft_card(log), tmp_path)
+
+    assert {axis: one.source for axis, one in card.command.items() if axis != "yaw"} == {
+        "x": "cmd_ve",
+        "y": "cmd_vn",
+        "z": "cmd_climb",
+    }
+    assert card.command_frame == "world"
+    assert all(one.scale > 0 for axis, one in card.command.items() if axis != "yaw")
+    assert (card.pose["yaw"].unit, card.pose["yaw"].scale, card.pose["yaw"].offset) == ("deg", -1, 90)
+    assert "INCOMPLETE" not in text
+    flight = flight_from_log(log, card)
+    np.testing.assert_allclose(np.ptp(flight.position[:, 0]), np.ptp(true["x"]), rtol=0.006)
+    np.testing.assert_allclose(np.ptp(flight.position[:, 1]), np.ptp(true["y"]), rtol=0.006)
+    assert np.max(np.abs(flight.position[0, :2])) < 0.2
+
+
+def test_latitude_and_longitude_are_no_position_where_there_is_one_in_metres(tmp_path: Path) -> None:
+    true = motion(world=False)
+    columns = {"time": T, **true, **fixes((-33.0, 151.0), true["x"], true["y"]), "alt": 3 + true["z"]}
+    columns |= {f"cmd_{axis}": COMMAND[axis] for axis in ("x", "y", "z", "yaw")}
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+    assert [card.pose[axis].source for axis in "xyz"] == ["x", "y", "z"]
+
+
+@pytest.mark.parametrize("names", [("cmd_v_n", "cmd_v_e", "cmd_v_d"), ("vel_north_sp", "vel_east_sp", "vel_down_sp")])
+def test_a_command_named_down_is_turned_beside_those_to_north_and_east(names: tuple[str, ...], tmp_path: Path) -> None:
+    true = motion(world=True)
+    columns = {"time": T, "east": true["x"], "north": true["y"], "up": true["z"], "yaw": true["yaw"]}
+    columns |= dict(zip(names, (COMMAND["y"], COMMAND["x"], -COMMAND["z"]), strict=True))
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+    assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
+        "x": (names[1], 1),
+        "y": (names[0], 1),
+        "z": (names[2], -1),
+    }
+
+
+@pytest.mark.parametrize("frame", ["ENU", "NED"])
+def test_degrees_of_the_globe_that_a_card_takes_for_metres_are_told_with_lines_that_are_right(frame: str) -> None:
+    true = motion(world=False)
+    columns = {"time": T, **fixes((47.4, 8.5), true["x"], true["y"]), "alt": true["z"], "yaw": true["yaw"]}
+    columns |= {f"u_{axis}": COMMAND[axis] for axis in ("x", "y", "z", "yaw")}
+    x, y = ("lon", "lat") if frame == "ENU" else ("lat", "lon")
+    raw = {"name": "n", "frame": frame, "command": {"time": "time", **{axis: f"u_{axis}" for axis in ("x", "y", "z")}}}
+    raw |= {"pose": {"time": "time", "x": x, "y": y, "z": "alt", "yaw": "yaw"}}
+    log = log_of(flight=columns)
+
+    flight = flight_from_log(log, card_from_mapping(raw, "n"))
+    (told,) = [one for one in findings_of_flight(log, flight) if one.code == "unit_mistake"]
+    assert "degrees of longitude and latitude" in told.evidence
+    lines = told.remedy.removeprefix("write ").partition(" in [pose]")[0].replace(" and ", "\n")
+    raw["pose"] |= tomllib.loads(lines)
+    mended = flight_from_log(log, card_from_mapping(raw, "n"))
+    np.testing.assert_allclose(np.ptp(mended.position[:, 0]), np.ptp(true["x"]), rtol=0.006)
+    np.testing.assert_allclose(np.ptp(mended.position[:, 1]), np.ptp(true["y"]), rtol=0.006)
+    assert not [one for one in findings_of_flight(log, mended) if one.code == "unit_mistake"]
 
 
 def test_a_heading_from_east_is_no_compass_also_where_that_reading_hides_the_frame_of_the_commands(

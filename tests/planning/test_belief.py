@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models import VEHICLE, model_of, with_poses
-from rotorfit.core.card import Prior
+from rotorfit.core.card import Channel, Prior
 from rotorfit.core.errors import PlanError
 from rotorfit.core.finding import Finding
 from rotorfit.core.model import COEFFICIENTS, Plain, weighed
@@ -77,6 +77,17 @@ def test_a_card_that_does_not_say_what_a_command_reaches_is_told_what_to_give() 
     raw = {**CARD.raw, "name": "a stranger", "limits": {"tilt": 0.3}}
     with pytest.raises(PlanError, match=r"what a command of 1 on z reaches; give \[limits\] vertical_speed, or plan"):
         belief_from_card(card_from_mapping(raw, "stranger"))
+
+
+def test_of_a_command_that_the_card_calls_a_fraction_and_a_value_the_contradiction_is_said() -> None:
+    x = Channel("u", meaning="velocity", full_scale="speed", unit="m/s")
+    both = replace(CARD, name="stranger", command={**CARD.command, "x": x}, limits={**CARD.limits, "speed": 3.0})
+
+    with pytest.raises(PlanError, match=r"contradicts itself on x: full_scale .* limit speed, unit a value in m/s; "):
+        belief_from_card(both)
+    for part in ("full_scale", "unit"):
+        sound = replace(both, command={**CARD.command, "x": replace(x, **{part: None})})
+        assert belief_from_card(sound).truth.gamma[0] > 0
 
 
 def test_draws_have_the_mean_and_the_deviation_of_the_belief_and_keep_their_signs() -> None:

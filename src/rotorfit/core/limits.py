@@ -130,7 +130,7 @@ def meaning_of(card: Card, axis: str) -> Meaning:
 def _contradiction(channel: Channel, asked: str) -> str | None:
     """The contradiction in a channel that means `asked`; None if there is none."""
     if channel.full_scale and channel.unit:
-        return f"a fraction of {channel.full_scale} has no unit {channel.unit!r}"
+        return f"full_scale makes it a fraction of the limit {channel.full_scale}, unit a value in {channel.unit}"
     alike = _SPEEDS if asked in _SPEEDS else (asked,)
     if channel.full_scale and _FROM_LIMIT[channel.full_scale] not in alike:
         return f"meaning {asked!r}, but a fraction of {channel.full_scale!r}"

@@ -18,7 +18,7 @@ from rotorfit.core.plain import line_of, plain_toml, toml_text, visible
 from rotorfit.core.results import Motion
 from rotorfit.core.writing import check_folder, write_whole
 from rotorfit.diagnosis.card_choice import proposal
-from rotorfit.diagnosis.command_response import BETTER, QUICKEST, SHARED, Answers, CommandResponse, answers_of
+from rotorfit.diagnosis.command_response import BETTER, QUICKEST, SHARED, Answers, CommandResponse, Frame, answers_of
 from rotorfit.diagnosis.draft_contents import (
     ORDER_GUESSED,
     DraftContents,
@@ -45,6 +45,7 @@ from rotorfit.diagnosis.recognition import (
     Recognised,
     is_directed,
     is_east_and_north,
+    is_of_the_world,
     is_stated,
     is_turned_up,
     is_up,
@@ -176,7 +177,7 @@ def _line(log: Log, key: str, channel: Channel | None, said: str = "") -> str:
         return f'# {key} = "TABLE:COLUMN"  # EDIT: nothing was recognised'
     parts = [f"from = {_quoted(channel.source)}"]
     parts += [f"scale = {channel.scale:g}"] * (channel.scale != 1)
-    parts += [f"offset = {channel.offset:g}"] * (channel.offset != 0)
+    parts += [f"offset = {channel.offset:.9g}"] * (channel.offset != 0)
     parts += [f'unit = "{channel.unit}"'] * bool(channel.unit)
     origin = f"unit {'as the file states it' if is_stated(log, channel) else 'guessed'}"
     remarks = [origin] * bool(channel.unit) + [said] * bool(said)
@@ -233,12 +234,18 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     found = replace(found, pose_remark=_frame_remark(found, told, asked.height))
     if turned_by_yaw(told) and found.remarks.get("qw") == ORDER_GUESSED:
         found = replace(found, remarks={**found.remarks, "qw": ""})
-    moved, said = _by_motion(found.commands, told)
-    found = _in_metres(log, replace(found, commands=moved, frame=told.frame or "heading"), asked.motion)
+    frame = told.frame or _frame_by_names(found)
+    moved, said = _by_motion(found.commands, told, frame)
+    found = _in_metres(log, replace(found, commands=moved, frame=frame), asked.motion)
     sure = all(answer.axis for answer in told.of.values())
     checked = f"Signs were checked against the motion{'' if sure else ', which does not tell those marked EDIT'}."
-    frame = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
-    return _for_the_next_files(log, text_of(log, found, said, f"{checked}{frame}"))
+    open_ = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
+    return _for_the_next_files(log, text_of(log, found, said, f"{checked}{open_}"))
+
+
+def _frame_by_names(found: DraftContents) -> Frame:
+    """The frame of the commands where the motion does not tell it."""
+    return "world" if is_of_the_world(found.commands) else "heading"
 
 
 def _frame_remark(found: DraftContents, told: Answers, height: int) -> str:
@@ -354,7 +361,7 @@ def _asked(log: Log, found: DraftContents) -> _Asked:
     except (CardError, FlightError) as error:
         return _Asked(found, None, str(error))
     motion = motion_from_flight(flight)
-    told = answers_of(flight, motion)
+    told = answers_of(flight, motion, _frame_by_names(found))
     if told.of:
         return _Asked(found, told, "", motion, height_sign(flight))
     if not np.any(np.ptp(flight.command, axis=0)):
@@ -535,7 +542,7 @@ def _in_metres(log: Log, found: DraftContents, motion: Motion | None) -> DraftCo
     return replace(read, remarks={**found.remarks, "x": "; ".join(filter(None, (found.remarks.get("x"), why)))})
 
 
-def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[str, str]]:
+def _by_motion(commands: Recognised, told: Answers, frame: Frame) -> tuple[Recognised, dict[str, str]]:
     """Commands with the axes and signs inferred from the motion, and the remark for each."""
     sure = {name: answer for name, answer in told.of.items() if answer.axis}
     wanted = {name: answer.axis or name for name, answer in sure.items()}
@@ -550,11 +557,11 @@ def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[st
         mirrored = backwards and told.frame is None and axis in ("x", "y")
         stray = _PERHAPS_A_HEIGHT * (name in commands.strays)
         unlike = UNLIKE * (backwards and channel.scale < 0)
-        said[axis] = stray + _remark(name, axis, answer, told.frame or "heading") + unlike + MIRRORED * mirrored
+        said[axis] = stray + _remark(name, axis, answer, frame) + unlike + MIRRORED * mirrored
     return replace(commands, channels=channels), said
 
 
-def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) -> str:
+def _remark(name: str, axis: str, answer: CommandResponse | None, frame: Frame) -> str:
     """Result of the motion for one command."""
     if answer is None:
         return "does not move in this log: EDIT, sign unknown"

@@ -67,6 +67,9 @@ BETTER = 0.9
 """Largest residual variance of the world frame, as a share of the heading frame's, for it to be chosen."""
 
 
+Frame = Literal["heading", "world"]
+
+
 @dataclass(frozen=True)
 class CommandResponse:
     """Response to a command.
@@ -99,7 +102,7 @@ class Answers:
         left: Residual sum of squares of the horizontal velocity [m^2/s^2].
     """
 
-    frame: Literal["heading", "world"] | None
+    frame: Frame | None
     of: dict[str, CommandResponse]
     left: float = 0.0
 
@@ -123,12 +126,13 @@ class _Fit:
     explained: float
 
 
-def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
+def answers_of(flight: Flight, motion: Motion | None = None, unturned: Frame = "heading") -> Answers:
     """Determines which command moves the vehicle in which direction.
 
     Args:
         flight: Read with a card that takes the commands as they are (`frame = "heading"`, no signs changed).
         motion: Motion of the flight, if already computed.
+        unturned: Frame in which the responses are given if the flight turned too little to tell it.
 
     Returns:
         The frame and the responses; no responses for a flight that is too short.
@@ -139,11 +143,12 @@ def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
         return Answers(None, {})
     motion = thinned(motion, flight.duration)
     lagged = smoothed(flight, motion.time, [AXES.index(name) for name in names], DELAYS)
-    frames: tuple[Literal["heading", "world"], ...] = ("heading", "world")
+    frames: tuple[Frame, ...] = ("heading", "world")
     fits = {frame: _fits(lagged, motion.time, _velocity(motion, frame)) for frame in frames}
     left = {frame: fits[frame][0].left + fits[frame][1].left for frame in frames}
     turned = bool(np.std(motion.yaw) > TURNING) and bool({"x", "y"} & set(names))
-    frame: Literal["heading", "world"] = "world" if turned and left["world"] < BETTER * left["heading"] else "heading"
+    frame: Frame = "world" if left["world"] < BETTER * left["heading"] else "heading"
+    frame = frame if turned else unturned
     found = {name: _answer(fits[frame], j, name, _shared(lagged, motion.time, j)) for j, name in enumerate(names)}
     return Answers(frame if turned else None, found, left[frame])
 

@@ -17,6 +17,7 @@ from rotorfit.diagnosis.recognition import (
     is_east_and_north,
     is_of_tello,
     is_of_the_body,
+    is_on_the_globe,
     is_stated,
     velocities_as_commands,
     velocity_in,
@@ -89,6 +90,9 @@ def found_in(log: Log, pose: Recognised, guess: bool = True) -> DraftContents:
     if frame == "ENU" and is_east_and_north(pose) and is_compass(pose):
         pose = replace(pose, channels={**pose.channels, "yaw": from_y(pose.channels["yaw"])})
         said["yaw"] = "clockwise from north, by its name"
+    if is_on_the_globe(pose):
+        metres = "m" if pose.channels["x"].scale != 1 else "EDIT: these are no degrees; m"
+        said |= {"x": f"longitude in {metres} to the east of the first fix", "y": "latitude, likewise to the north"}
     found = DraftContents(commands, pose, velocity, "heading", "world", frame, remark, said, doubted)
     return in_frames(found, velocity_frame=of_velocity)
 
@@ -129,6 +133,8 @@ def _pose_frame(log: Log, velocity: Recognised, pose: Recognised, rise: float | 
         return "NED", 'of the pose, by its names; "ENU" where z points up'
     if is_of_tello(log, velocity) and (rise is None or rise < 0):
         return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
+    if is_on_the_globe(pose):
+        return "ENU", "longitude is to the east"
     table = pose.table or velocity.table
     kind = FORMATS.get(format_of(log, table) if table else log.format)
     if kind and kind.ned:

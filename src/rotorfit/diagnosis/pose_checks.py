@@ -11,6 +11,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, POSE_UNITS, UNIT_SCALE, Array, Mask
 from rotorfit.core.frozen import SUFFERING
 from rotorfit.core.results import Motion
+from rotorfit.diagnosis.globe import from_place, is_latitude, is_longitude, metres_per_degree
 from rotorfit.diagnosis.recording import Recording
 
 LEAP_SIGMAS = 10.0
@@ -51,6 +52,9 @@ FASTEST_TURN = 6.0
 SMALLEST = 0.02
 """Largest extent in x, y and z [m] that no commanded flight stays within: a hover drifts more."""
 
+FEW_DEGREES = 0.1
+"""Largest extent of a longitude and a latitude as numbers that are degrees: 11 km."""
+
 LOST, SPOILT = 0.01, 0.05
 """Share of poses at the origin, between others, from which on it is told, and from which on nothing is left to fit."""
 
@@ -67,8 +71,10 @@ def pose_findings(recording: Recording) -> Iterator[Finding]:
     yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], LEAP_FLOORS[1], PEAKS[1], thawed)
     yield from _frozen(flight, frozen)
     yield from _zeros_between(flight)
-    yield from _unit_of_position(flight, motion)
-    yield from _unit_of_one_axis(recording)
+    globe = list(_degrees_of_the_globe(flight))
+    yield from globe
+    yield from [] if globe else _unit_of_position(flight, motion)
+    yield from [] if globe else _unit_of_one_axis(recording)
     yield from _unit_of_yaw(motion)
 
 
@@ -302,6 +308,28 @@ def _unit_of_yaw(motion: Motion) -> Iterator[Finding]:
             'give yaw in [pose] of the card unit = "deg"',
             "yaw",
         )
+
+
+def _degrees_of_the_globe(flight: Flight) -> Iterator[Finding]:
+    """A position by longitude and latitude that the card takes for metres."""
+    names = {axis: one.source for axis, one in flight.card.pose.items() if axis in "xy" and one.scale == 1}
+    axes = [axis for is_named in (is_longitude, is_latitude) for axis, name in names.items() if is_named(name)]
+    east = "y" if flight.card.frame == "NED" else "x"
+    place = flight.position[:, [int(axis != east) for axis in axes]]
+    if set(axes) != {"x", "y"} or not is_longitude(names[axes[0]]) or np.max(np.ptp(place, axis=0)) > FEW_DEGREES:
+        return
+    lines = []
+    for axis, metres, first in zip(axes, metres_per_degree(float(place[0, 1])), place[0].tolist(), strict=True):
+        scale, offset = from_place(metres, first)
+        lines.append(f'{axis} = {{ from = "{names[axis]}", scale = {scale:.9g}, offset = {offset:.9g} }}')
+    yield Finding(
+        "unit_mistake",
+        "error",
+        f"{' and '.join(str(names[axis]) for axis in axes)} are taken for metres, and stay within "
+        f"{np.max(np.ptp(place, axis=0)):.2g}: they are degrees of longitude and latitude",
+        "x and y seem to stand still: nothing is known of them, or their input gains are too small by 100,000",
+        f"write {' and '.join(lines)} in [pose] of the card: metres from where the flight begins",
+    )
 
 
 def _line_with_unit(flight: Flight, unit: tuple[str, float] | None) -> str:

@@ -40,6 +40,14 @@ _PLACES: tuple[Mapping[str, str], ...] = (
     },
 )
 
+_FIX = f"(?:(?:gps|gnss|fix|global(?:_pos(?:ition)?)?)_?)*{_WHERE}"
+
+_ON_THE_GLOBE: Mapping[str, str] = {
+    "x": f"{_FIX}(lon|lng|long|longitude)",
+    "y": f"{_FIX}(lat|latitude)",
+    "z": f"{_FIX}(up|alt|altitude|height)",
+}
+
 _QUATERNION = "(?:orientation|rotation|quaternion|quat|q)_?"
 
 _HEADINGS: tuple[Mapping[str, str], ...] = (
@@ -119,6 +127,13 @@ def poses_named(table: Table) -> list[NamedPose]:
     full = [place for place in places if len(place.names) == len(places[0].names)]
     fullest = {frozenset(place.names.values()): place for place in reversed(full)}.values()
     return [_pose(place, places, headings) for place in reversed(fullest)]
+
+
+def fixes_named(table: Table) -> list[NamedPose]:
+    """Poses in a table by longitude and latitude, with a height; the likeliest first."""
+    places = [place for place in _families(table, [_ON_THE_GLOBE]) if {"x", "y"} <= place.names.keys()]
+    heights = _families(table, _PLACES)
+    return [_pose(place, [*places, *heights], headings_named(table)) for place in places]
 
 
 def named_alike(table: Table, patterns: Mapping[str, str]) -> dict[str, str]:

@@ -9,10 +9,12 @@ import numpy as np
 from rotorfit.core.card import UNITS_OF_POSE, UNITS_OF_VELOCITY, Channel
 from rotorfit.core.frames import AXES, UNIT_SCALE
 from rotorfit.core.log import Log, Table
+from rotorfit.diagnosis.globe import from_place, is_latitude, is_longitude, metres_per_degree
 from rotorfit.diagnosis.pose_names import (
     NamedPose,
     bodies_named,
     completeness,
+    fixes_named,
     headings_named,
     named_alike,
     poses_named,
@@ -60,6 +62,9 @@ _FORWARD, _LEFT, _UP = (
     "lin_?y|linear_y|vl|roll|phi|left|right|ail(?:eron)?",
     "lin_?z|linear_z|ve|climb|up|throttle|thrust|thr|gaz",
 )
+
+_WORLD_UP = "climb(?:_?rate)?|(?:v_?|vel_)?(?:up|down)|v_?[ud]"
+"""Up or down beside commands to the north and east."""
 
 _STICKS = {
     "x": "(?:rc_)?fb|forward_backward(?:_velocity)?",
@@ -123,6 +128,8 @@ _WINDOWS = (
     ("/dji_sdk/flight_status:data", "equals = [2, 3]"),
 )
 
+_EAST, _NORTH = "east|lon|lng|long|longitude", "north|lat|latitude"
+
 _FLYING = "(?:is_?)?(?:armed|flying|in_?air|airborne|offboard|in_velocity_mode|control_(?:on|active|enabled))"
 
 
@@ -160,6 +167,8 @@ def commands_in(log: Log) -> Recognised:
         return replace(found, channels={**found.channels, **turned})
     if re.search(r"(?:^|_)right(?:_|$)", names.get("y", "")) and "left" not in names["y"]:
         found = replace(found, channels={**found.channels, "y": replace(found.channels["y"], scale=-1)})
+    if is_of_the_world(found) and re.search(r"(?:^|_)(?:v_?d|down)(?:_|$)", names.get("z", "")):
+        return replace(found, channels={**found.channels, "z": replace(found.channels["z"], scale=-1)})
     fast = {axis for axis, name in names.items() if re.search(rf"v(?:el)?_?{axis}(?:_|$)", name)}
     height = {"x", "y"} <= fast and "z" not in fast and re.search(r"(?:^|_)z(?:_|$)", names.get("z", ""))
     return replace(found, strays=("z",)) if height else found
@@ -181,7 +190,8 @@ def velocities_as_commands(log: Log, pose: Recognised) -> Recognised:
 def poses_in(log: Log) -> list[Recognised]:
     """Poses by name, the likeliest first: those with the most of x, y, z and a heading, then with most samples.
 
-    At least one, which may be empty. With several tables its heading may come from another one. Each body of an export
+    At least one, which may be empty. With several tables its heading may come from another one. Latitude and longitude
+    are taken where nothing else is a position. Each body of an export
     of Motive is there twice: with its y up, as by default, and with its z up.
     """
     if bodies := _fullest(log, _bodies):
@@ -189,7 +199,10 @@ def poses_in(log: Log) -> list[Recognised]:
         upright = [z_up(body) if turned else body for body, turned in zip(bodies, of_motive, strict=True)]
         return upright + [body for body, turned in zip(bodies, of_motive, strict=True) if turned]
     heading = _with_unit_of_yaw(log, _in_units(_recognised(log, _attitude), UNITS_OF_POSE))
-    poses = [_with_unit_of_yaw(log, pose) for pose in _fullest(log, _poses)] or [heading]
+    named = _fullest(log, _poses)
+    if not any({"x", "y"} <= pose.channels.keys() for pose in named):
+        named = [_in_metres(log, pose) for pose in _fullest(log, _fixes)] or named
+    poses = [_with_unit_of_yaw(log, pose) for pose in named] or [heading]
     return [_with_heading(pose, heading) for pose in poses]
 
 
@@ -307,6 +320,13 @@ def climb_of_tello(log: Log, velocity: Recognised) -> float | None:
     return float(slope) if explained > 0.5 else None
 
 
+def is_of_the_world(commands: Recognised) -> bool:
+    """Whether the names of the horizontal commands say east and north."""
+    names = [plain_name(str(commands.channels[axis].source)) for axis in "xy" if axis in commands.channels]
+    said = (r"(?:^|_)(?:v_?e|east)(?:_|$)", r"(?:^|_)(?:v_?n|north)(?:_|$)")
+    return len(names) == 2 and all(re.search(word, name) for word, name in zip(said, names, strict=True))
+
+
 def is_worded(commands: Recognised) -> bool:
     """Whether the names of the horizontal commands say forward and left or right."""
     names = [plain_name(str(commands.channels[axis].source)) for axis in "xy" if axis in commands.channels]
@@ -352,7 +372,7 @@ def is_up(pose: Recognised) -> bool:
 
 def is_east_and_north(pose: Recognised) -> bool:
     """Whether the names of the horizontal position say east and north, in whichever order."""
-    return any(_points(pose, x, "e", "east") and _points(pose, y, "n", "north") for x, y in ("xy", "yx"))
+    return any(_points(pose, x, "e", _EAST) and _points(pose, y, "n", _NORTH) for x, y in ("xy", "yx"))
 
 
 def is_directed(pose: Recognised) -> bool:
@@ -415,7 +435,10 @@ def _stream(log: Log, table: Table, names: Mapping[str, str]) -> Recognised:
 
 
 def _with_unit_of_yaw(log: Log, pose: Recognised) -> Recognised:
-    """The pose with a yaw in degrees where its values are none in radians."""
+    """The pose with a yaw in degrees where its values are none in radians.
+
+    A compass in radians begins within one turn, even if it counts them.
+    """
     yaw = pose.channels.get("yaw")
     if pose.time is None or yaw is None or yaw.unit is not None or is_stated(log, yaw):
         return pose
@@ -423,7 +446,8 @@ def _with_unit_of_yaw(log: Log, pose: Recognised) -> Recognised:
     there = np.isfinite(values[: len(stamps)])  # rows of commands may share the stamps of those of poses
     stamps, values = stamps[: len(values)][there], values[: len(stamps)][there]
     clean = increasing(stamps)
-    if not degrees_for_radians(stamps[clean], values[clean]):
+    beyond = is_compass(pose) and values.size > 0 and abs(values[0]) > 2 * np.pi
+    if not beyond and not degrees_for_radians(stamps[clean], values[clean]):
         return pose
     return replace(pose, channels={**pose.channels, "yaw": replace(yaw, unit="deg")})
 
@@ -479,12 +503,16 @@ def _family(table: Table, word: str, speed: str) -> dict[str, str]:
     """Axis to column with a word that means command before or after the axis.
 
     Names that say velocity or rate come first: beside `cmd_vx` and `cmd_yaw_rate`, `cmd_x` and `cmd_yaw` are setpoints
-    of a position controller. So do words for a turn: beside `sp_yaw`, `sp_r` may be to the right.
+    of a position controller. So do words for a turn: beside `sp_yaw`, `sp_r` may be to the right. Beside `cmd_vn`,
+    `cmd_ve` is to the east, not up.
     """
     axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
     fast = _named(table, _with(word, {axis: f"v(?:el)?_?{axis}" for axis in "xyz"}))
     turn = _named(table, _with(word, {"yaw": _TURN}))
     rate = _named(table, _with(word, {"yaw": _YAW_RATE}))
+    across = _named(table, _with(word, {"x": f"v_?e|{speed}east|vel_east", "y": f"v_?n|{speed}north|vel_north"}))
+    if {"x", "y"} <= across.keys():
+        return across | _named(table, _with(word, {"z": f"{_WORLD_UP}|v_?z"})) | turn | rate
     return _named(table, _with(word, axes)) | (fast if {"x", "y"} <= fast.keys() else {}) | turn | rate
 
 
@@ -499,6 +527,39 @@ def _bodies(log: Log, table: Table) -> list[NamedPose]:
 def _poses(log: Log, table: Table) -> list[NamedPose]:
     """Poses of a table that is not named as a command or a setpoint."""
     return [] if _asked(log, table) else poses_named(table)
+
+
+def _fixes(log: Log, table: Table) -> list[NamedPose]:
+    """The same by latitude and longitude."""
+    return [] if _asked(log, table) else fixes_named(table)
+
+
+def is_on_the_globe(pose: Recognised) -> bool:
+    """Whether a horizontal position is a longitude and a latitude."""
+    known = pose.channels
+    return {"x", "y"} <= known.keys() and is_longitude(known["x"].source) and is_latitude(known["y"].source)
+
+
+def _in_metres(log: Log, pose: Recognised) -> Recognised:
+    """A pose by longitude and latitude in metres from its first fix; unchanged where these are no degrees.
+
+    Whole numbers may be 1e-7 degrees, as in MAVLink.
+    """
+    known = [column(log, replace(pose.channels[axis], unit=None)) for axis in "xy"]
+    count = min(values.size for values in known)
+    fixes = np.column_stack([values[:count] for values in known])
+    fixes = fixes[np.all(np.isfinite(fixes), axis=1) & np.any(fixes != 0, axis=1)]
+    if not len(fixes):
+        return pose
+    size = 1e-7 if np.max(np.abs(fixes)) > 360 else 1.0
+    if np.any(np.max(np.abs(fixes), axis=0) * size > (360, 90)):
+        return pose
+    scale = metres_per_degree(float(fixes[0, 1]) * size)
+    read = {
+        axis: Channel(pose.channels[axis].source, *from_place(size * scale[k], float(fixes[0, k])))
+        for k, axis in enumerate("xy")
+    }
+    return replace(pose, channels={**pose.channels, **read})
 
 
 def _attitude(log: Log, table: Table) -> dict[str, str]:

@@ -390,7 +390,7 @@ def clocks(table: Table) -> dict[str, int]:
     """Columns that are named like clocks, or like those of something, and advance; the likeliest first.
 
     Names as `t_cmd`, which may be a thrust, are clocks only where they are blank in some rows and never go back. Where
-    there is no clock, those that count ms, us or ns.
+    there is no clock, those that count ms, us or ns, or hold dates.
     """
     plain = {name: name_without_unit(name) for name, values in table.columns.items() if is_series(values)}
     names = {one: name for name, one in plain.items()}
@@ -398,13 +398,21 @@ def clocks(table: Table) -> dict[str, int]:
     likely += [name for name, one in plain.items() if _CLOCK_OF_SOMETHING.fullmatch(one) and name not in likely]
     likely += [name for name, one in plain.items() if _CLOCK_OF_ROWS.fullmatch(one) and _stamps_rows(table, name)]
     if not likely:
-        likely = [name for name in plain if _counts_time(table, name)]
+        likely = [name for name in plain if _counts_time(table, name) or _holds_dates(table, name)]
     return {name: table.columns[name].size for name in likely if _advances(table.columns[name].ravel().astype(float))}
 
 
 def _counts_time(table: Table, name: str) -> bool:
     """Whether a column is in a unit of time by its name and never goes back: `tx_ms`, not `latency_ms`."""
     return unit_of_name(name) in ("ms", "us", "ns") and _never_goes_back(table, name)
+
+
+def _holds_dates(table: Table, name: str) -> bool:
+    """Whether a column holds dates, which readers convert to nanoseconds since 1970, and never goes back."""
+    values = table.columns[name]
+    if values.dtype.kind != "i" or not _never_goes_back(table, name):
+        return False
+    return bool(SINCE_1970[0] < np.min(values) / 1e9 and np.max(values) / 1e9 < SINCE_1970[1])
 
 
 def _stamps_rows(table: Table, name: str) -> bool:

@@ -149,11 +149,7 @@ def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
         covariance[:2, :2] = np.diag(np.var(sets, axis=0, ddof=1))
         note = f"{axis}: the card has no limit, so the mean and spread of {len(sets)} published sets of the {vehicle}"
     else:
-        wanted = f"give [limits] {meaning.limit}" if meaning.limit else "give the channel a meaning and a limit"
-        raise PlanError(
-            f"card {card.name}: it does not say what a command of 1 on {axis} reaches; {wanted}, or plan --after a "
-            "model of a first flight"
-        )
+        raise PlanError(f"card {card.name}: {_unsaid(card, axis, meaning)}, or plan --after a model of a first flight")
     for i, name in enumerate(COEFFICIENTS):
         if one := prior.get(name):
             mean[i], covariance[i], covariance[:, i] = one.mean, 0.0, 0.0
@@ -164,6 +160,15 @@ def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
             f"{mean[1]:g} and a delay of {mean[2]:g}: give one that is not 0, one above 0, and one of 0 or more"
         )
     return mean, covariance, note
+
+
+def _unsaid(card: Card, axis: str, meaning: Meaning) -> str:
+    """Why a card does not tell what a command of 1 on an axis reaches, and what to give."""
+    channel = card.command[axis]
+    if meaning.asked is None and (channel.meaning or channel.full_scale or channel.unit):
+        return f"{meaning.reason}; correct that"
+    wanted = f"give [limits] {meaning.limit}" if meaning.limit else "give the channel a meaning and a limit"
+    return f"it does not say what a command of 1 on {axis} reaches; {wanted}"
 
 
 def _stable(vehicle: str, axis: str) -> Array:
