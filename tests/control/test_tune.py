@@ -209,7 +209,7 @@ def test_noise_of_the_command_is_in_its_own_unit_where_commands_are_in_si_withou
 
 @pytest.mark.parametrize(
     ("test", "said"),
-    [("bound", "the margins are not those of small motion: no more than 1 m/s^2; fit with --structure limited_acceleration, or"),
+    [("bound", "the margins are not those of small motion: no more than 1 m/s^2; fit with --structure limited_"),
      ("time", "the margins are those of the law, which the flights deny: no more than 1 m/s^2")],
 )  # fmt: skip
 def test_what_the_flights_say_against_the_law_is_said_of_its_margins(test: str, said: str) -> None:

@@ -144,5 +144,7 @@ class ResponseComparison:
     @property
     def model_delay_band(self) -> Array:
         """Ends of the 95 % bands of the model's delay, shape (K, 2) [s]; infinite where the phase is undetermined."""
+        if self.model is None:
+            return np.zeros((0, 2))
         half = np.where(self.delay_half_width * self.flight.frequency < np.pi, self.delay_half_width, np.inf)
         return np.stack([self.model_delay - half, self.model_delay + half], axis=1)

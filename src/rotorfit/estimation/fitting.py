@@ -409,7 +409,7 @@ def _other_structures(
     found = estimate_laws(serving, estimates, wanted)
     lost = [axis for axis, e in found.items() if not separable(e.optimum, e.place)]
     if lost:
-        without = structure_named("second_order") if wanted[lost[0]].limited else FIRST_ORDER_DELAY
+        without = structure_named("first_order_delay_lag") if wanted[lost[0]].limited else FIRST_ORDER_DELAY
         found = estimate_laws(serving, estimates, wanted | dict.fromkeys(lost, without))
     if any(structure_at(e.optimum, e.place) != FIRST_ORDER_DELAY for e in found.values()):
         axes, covariance = _group_axes(flights, group, found)

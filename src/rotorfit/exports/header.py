@@ -112,7 +112,9 @@ def _coefficients(axis: str, known: Axis) -> Iterator[str]:
     units = {"input": f"{rate}^2", "damping": "1/s", "delay": "s"}
     for extra in structure.extras:
         values[extra.name] = point.extra[extra.name]
-        units[extra.name] = {"speed": rate, "gain": f"{rate}^2", "command": ""}.get(extra.unit, extra.unit)
+        units[extra.name] = {"speed": rate, "acceleration": f"{rate}^2", "gain": f"{rate}^2", "command": ""}.get(
+            extra.unit, extra.unit
+        )
     for name, value in values.items():
         ends = f" ({_interval(known.ci95[name])})" if name in known.ci95 else ""
         yield _row(axis, f"{name} {value:.5g}{ends} {units[name]}").rstrip()

@@ -8,6 +8,7 @@ import numpy as np
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY, Extra, Structure
 from rotorfit.core.model import NORMAL, Interval
+from rotorfit.dynamics.disturbance import stationary
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.likelihood import inverted
 
@@ -26,6 +27,10 @@ def estimated_extras(optimum: Optimum, k: int) -> tuple[Extra, ...]:
     return tuple(extra for extra in structure_at(optimum, k).extras if extra.estimated)
 
 
+MOST_GUSTS = 0.15
+"""Share of the limit that what gusts make a velocity loop ask for may be, as a standard deviation. On flights with
+about 0.3, 9 of 15 intervals of the input held the truth, with 0.2, 37 of 40, all misses too low; with 0.1, 15 of 15."""
+
 LEAST_OWN = 1e-6
 """Share of the information about a further parameter that must remain when the other parameters are free."""
 
@@ -37,12 +42,20 @@ def separable(optimum: Optimum, k: int) -> bool:
     """Whether each further parameter of axis k is identifiable separately from the other parameters.
 
     A saturation level and the gain are not where all commands have the same size, nor is a level that no command
-    reaches: of that there is no information at all.
+    reaches: of that there is no information at all. Nor is a limit that gusts reach, too, which the law counts out.
     """
+    if structure_at(optimum, k).limited and _gusts(optimum, k) > MOST_GUSTS:
+        return False
     information = optimum.score.information
     variance = np.diag(inverted(information, optimum.free))
     places = [optimum.point.place(extra.name, k) for extra in estimated_extras(optimum, k)]
     return all(NO_INFORMATION < information[i, i] * variance[i] < 1 / LEAST_OWN for i in places)
+
+
+def _gusts(optimum: Optimum, k: int) -> float:
+    """Standard deviation of what axis k asks for against the disturbance's velocity, over its limit."""
+    speed = float(np.sqrt(stationary(np.exp(optimum.point.levels[k]))[0]))
+    return float(np.exp(optimum.point.log_damping[k])) * speed / optimum.point.extra_values(k)["acceleration_limit"]
 
 
 VAGUE = 2.0

@@ -57,8 +57,11 @@ laws that predict better over 1 s where they are chosen predict the other half o
 LAGS = 20
 """Number of lags of the autocorrelation of the innovations that are used."""
 
-SAME = "not identifiable: what it adds cannot be distinguished from its other parameters with these commands"
+SAME = "not identifiable: what it adds cannot be distinguished from its other parameters with these commands and gusts"
 """Verdict on a structure whose further parameters are not identifiable with these commands."""
+
+
+NO_LIMIT = "rejected: the likelihood gain over second_order, which is the same without a limit, does not justify it"
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,12 @@ def _choice(
     trials = [_trial(serving, folds, estimates, axis, structure, samples, share) for structure in names]
     trials.sort(key=lambda trial: (trial.structure != FIRST_ORDER_DELAY, trial.structure.size))  # else as in the table
     best, verdicts = trials[0], [_Verdict(trials[0], trials[0], True, "the baseline")]
+    within = {trial.structure.name: trial for trial in trials}
     for trial in trials[1:]:
+        free = within.get("second_order") if trial.structure.limited else None
+        if free and trial.bic >= free.bic:
+            verdicts.append(_Verdict(trial, free, False, NO_LIMIT))
+            continue
         verdicts.append(_verdict(trial, best, len(trials) - 1))
         best = trial if verdicts[-1].passed else best
     both = next(trial.estimate for trial in trials if trial.structure.name == "first_order_delay_lag")

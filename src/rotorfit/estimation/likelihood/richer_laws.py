@@ -34,8 +34,8 @@ SAME_MAXIMUM = 0.3
 two flights ended there; of pairs 0.5 to 1 apart one did not."""
 
 LIMITED = (1.0, 0.5), (1.7, 0.2)
-"""Starts of a law with a limit of the acceleration: how much faster than the law without it, and the limit over what the
-largest command asks for at rest."""
+"""Starts of a law with a limit of the acceleration: how much faster than the law without it, and the limit over what
+the largest command asks for at rest."""
 
 FAR_ABOVE = 20.0
 """Rise of the log-likelihood over the first-order law from which a second order is sought from the usual levels, too:
@@ -120,7 +120,7 @@ def single(
 def applicable_structure(structure: Structure, group: Sequence[str]) -> Structure:
     """The structure; the first-order law where it couples x and y and these are not one group; yaw has no limit."""
     if structure.limited and tuple(group) == ("yaw",):
-        return STRUCTURES["second_order"]
+        return STRUCTURES["first_order_delay_lag"]
     return FIRST_ORDER_DELAY if structure.coupled and tuple(group) != ("x", "y") else structure
 
 
