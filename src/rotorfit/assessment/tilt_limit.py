@@ -105,7 +105,8 @@ def findings_of_tilt(fit: Fit) -> Iterator[Finding]:
             + seen,
             f"{'' if obeyed else 'if the vehicle obeys this limit, '}delay, lag, damping and input of {name} describe "
             "the limit, too: for small commands they are others, and the intervals do not cover that",
-            f"fit with --structure limited_acceleration; or fly commands of {name} that change by {step:.2g} at most, by {step / math.sqrt(2):.2g} where x and y "
+            "fit with --structure limited_acceleration; or "
+            f"fly commands of {name} that change by {step:.2g} at most, by {step / math.sqrt(2):.2g} where x and y "
             "change together; or correct tilt in [limits] of the card, if the vehicle tilts further",
             name,
         )

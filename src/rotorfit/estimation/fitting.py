@@ -409,8 +409,9 @@ def _other_structures(
     found = estimate_laws(serving, estimates, wanted)
     lost = [axis for axis, e in found.items() if not separable(e.optimum, e.place)]
     if lost:
-        without = structure_named("first_order_delay_lag") if wanted[lost[0]].limited else FIRST_ORDER_DELAY
-        found = estimate_laws(serving, estimates, wanted | dict.fromkeys(lost, without))
+        lagged = structure_named("first_order_delay_lag")
+        without = {axis: lagged if wanted[axis].limited else FIRST_ORDER_DELAY for axis in lost}
+        found = estimate_laws(serving, estimates, wanted | without)
     if any(structure_at(e.optimum, e.place) != FIRST_ORDER_DELAY for e in found.values()):
         axes, covariance = _group_axes(flights, group, found)
     else:
@@ -425,7 +426,7 @@ def _other_structures(
         if _may_have_no_lag(axes[axis]):
             axes[axis] = united(axes[axis], [plain[axis]])
         if axis in lost:
-            axes[axis] = replace(axes[axis], candidates=(unidentifiable_candidate(structure),))
+            axes[axis] = replace(axes[axis], candidates=(unidentifiable_candidate(wanted[axis].name),))
         if axis in choices:
             choice = choices[axis]
             combined = {"delay_plus_lag": choice.delay_plus_lag, **axes[axis].combinations}
