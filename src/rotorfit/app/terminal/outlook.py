@@ -220,7 +220,8 @@ def demo_view(demo: Demo) -> View:
     inside = sum(_inside(row.truth, row.ci95) for row in stated)
     yield title("Six simulated flights, three to fit and three for the proof. What came back:")
     yield out
-    yield indented("input in m/s^2 (yaw rad/s^2) per command of 1, damping in 1/s, delay in s", 0, "dim")
+    units = "input in m/s^2 (yaw rad/s^2) per command of 1, damping in 1/s, delay in s"
+    yield indented(f"{units}; --structure first_order_delay", 0, "dim")
     yield indented(
         f"{inside} of {len(stated)} intervals contain the truth; over many flights, at least 95 % should.", 0
     )
