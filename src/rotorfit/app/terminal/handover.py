@@ -84,10 +84,12 @@ def tuning_view(tuning: Tuning, card: Card) -> View:
     for axis, one in tuning.axes.items():
         margins.add_row(axis, *_margins(one))
     yield margins
-    draws = next(iter(tuning.axes.values())).robustness
+    draws = [one.robustness.draws for one in tuning.axes.values()]
+    count = f"{min(draws)} to {max(draws)}" if len(set(draws)) > 1 else f"{draws[0]}"
+    seed = next(iter(tuning.axes.values())).robustness.seed
     yield Text(
-        f"Of the model itself, then what 95 % of {draws.draws} vehicles drawn from its covariance keep (seed "
-        f"{draws.seed}; none is unstable): gain: a factor, deg, s. peak: of the sensitivity; the delay margin must "
+        f"Of the model itself, then what 95 % of {count} vehicles drawn from its covariance keep (seed "
+        f"{seed}; none is unstable): gain: a factor, deg, s. peak: of the sensitivity; the delay margin must "
         f"be {DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, "
         "% of full scale, or in its own unit where there is none.",
         style="dim",
