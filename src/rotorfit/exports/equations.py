@@ -103,10 +103,6 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
     return Equation(axis, demand, f"{w} - {damping} + {trim}")
 
 
-def _within(value: str, limit: str, language: Language) -> str:
-    return f"{language.smaller}({language.larger}({value}, -{limit}), {limit})"
-
-
 def _beyond(subject: Subject, axis: str, language: Language) -> str:
     """What is asked for over the limit; x and y, where both have one, have it together."""
     pair = (
@@ -137,7 +133,7 @@ def _answered(axis: str, names: set[str], c: Callable[[str], str], language: Lan
     if "asymmetry" in names:
         return f"({u} + {c('asymmetry')} * {language.absolute}({u}))"
     if "level" in names:
-        return _within(u, c("level"), language)
+        return f"{language.smaller}({language.larger}({u}, -{c('level')}), {c('level')})"
     if "dead_zone" in names:
         above, below = (f"{language.larger}({sign}{u} - {c('dead_zone')}, {language.zero})" for sign in ("", "-"))
         return f"({above} - {below})"
