@@ -150,7 +150,8 @@ def limited() -> Model:
     model = known_as(Predictor(2.0, 1.0, 0.3), covariance[:3, :3], {})
     x = model.axes["x"]
     plain = Plain(x.input, x.damping, x.delay, x.stderr, x.ci95, x.status, first_order(model, "x"))
-    own = replace(x, structure="limited_acceleration", predictor=point, plain=plain, ci95={})
+    extra = {"lag": 0.08, "acceleration_limit": 0.9}
+    own = replace(x, structure="limited_acceleration", predictor=point, plain=plain, ci95={}, extra=extra)
     names = (*model.covariance_names, "x.lag", "x.acceleration_limit")
     return replace(model, axes={**model.axes, "x": own}, covariance_names=names, covariance=covariance)
 

@@ -84,7 +84,7 @@ def test_gains_of_a_vehicle_with_a_limit_are_those_of_its_motion_below_it() -> N
     true = margins(one.law, LaggedAxis(5.0, 2.5, 0.2, 0.08, 0.0, 2))
     assert true.peak == pytest.approx(one.margins.peak, rel=1e-6)
     assert one.margins.peak <= one.robustness.peak <= PEAK
-    assert one.note.startswith("gains and margins are those of motion that asks for less than the limit of about 0.9 m")
+    assert one.note.startswith("gains and margins are those of motion that asks for less than the limit, about 0.9 m")
 
 
 def test_gains_are_for_as_many_commands_as_the_flights_had_poses() -> None:

@@ -195,7 +195,7 @@ def test_a_limit_that_is_not_reached_or_that_gusts_reach_is_not_identifiable(
     flight = flown_by(name, amplitude=amplitude, wind=wind, noise=0.001)
     axis = fit([flight], axes=("z",), structure="limited_acceleration").model.axes["z"]
 
-    assert axis.structure == "first_order_delay_lag"
+    assert axis.structure == "first_order_delay"
     assert axis.candidates[0].verdict.startswith("not identifiable")
 
 

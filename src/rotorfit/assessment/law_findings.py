@@ -92,7 +92,9 @@ def law_findings(name: str, axis: Axis, stamped: bool = True) -> Iterator[Findin
 def _law(axis: Axis) -> str:
     """The law to fit next: the one that has what is missing, if it is known; empty where none of the structures has."""
     tests = {one.test for one in axis.evidence}
-    if "bound" in tests and not structure_named(axis.structure).limited:
+    if structure_named(axis.structure).limited:
+        return ""
+    if "bound" in tests:
         return "limited_acceleration"
     if "drag" in tests and "size" not in tests:
         return "quadratic_drag"

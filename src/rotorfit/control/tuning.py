@@ -39,7 +39,6 @@ from rotorfit.core.model import (
     Model,
     first_order,
     pose_rates,
-    predictor_of,
     unknown_why,
 )
 from rotorfit.core.plain import by_reason, listed
@@ -391,8 +390,9 @@ def _note(model: Model, axis: str, law: AxisLaw) -> str:
         )
     elif structure.limited:
         beside = None
-        most = f"{predictor_of(model, axis).extra['acceleration_limit']:.2g} {POSE_UNITS[axis]}/s^2"
-        notes.append(f"gains and margins are those of motion that asks for less than the limit of about {most}")
+        most = known.extra["acceleration_limit"]
+        about = f", about {most:.2g} {POSE_UNITS[axis]}/s^2" if most else ""
+        notes.append(f"gains and margins are those of motion that asks for less than the limit{about}")
     elif structure != FIRST_ORDER_DELAY:
         whose = "its own" if has_own_margins(structure) else "not those"
         notes.append(f"gains of the first-order law with a delay, margins {whose} of {structure.name}")

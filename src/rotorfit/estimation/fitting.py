@@ -409,9 +409,7 @@ def _other_structures(
     found = estimate_laws(serving, estimates, wanted)
     lost = [axis for axis, e in found.items() if not separable(e.optimum, e.place)]
     if lost:
-        lagged = structure_named("first_order_delay_lag")
-        without = {axis: lagged if wanted[axis].limited else FIRST_ORDER_DELAY for axis in lost}
-        found = estimate_laws(serving, estimates, wanted | without)
+        found = estimate_laws(serving, estimates, wanted | dict.fromkeys(lost, FIRST_ORDER_DELAY))
     if any(structure_at(e.optimum, e.place) != FIRST_ORDER_DELAY for e in found.values()):
         axes, covariance = _group_axes(flights, group, found)
     else:

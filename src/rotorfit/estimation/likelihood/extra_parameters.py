@@ -44,10 +44,12 @@ def separable(optimum: Optimum, k: int) -> bool:
     A saturation level and the gain are not where all commands have the same size, nor is a level that no command
     reaches: of that there is no information at all. Nor is a limit that gusts reach, too, which the law counts out.
     """
-    if structure_at(optimum, k).limited and _gusts(optimum, k) > MOST_GUSTS:
-        return False
     information = optimum.score.information
     variance = np.diag(inverted(information, optimum.free))
+    if structure_at(optimum, k).limited:
+        error = float(np.sqrt(variance[optimum.point.place("acceleration_limit", k)]))
+        if _gusts(optimum, k) > MOST_GUSTS or 2 * NORMAL * error > np.log(WIDEST_RATIO):
+            return False
     places = [optimum.point.place(extra.name, k) for extra in estimated_extras(optimum, k)]
     return all(NO_INFORMATION < information[i, i] * variance[i] < 1 / LEAST_OWN for i in places)
 

@@ -343,7 +343,8 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     1 s are enough: the few blocks of a minute's flight do not show them surely. Nor need predictions be better where
     the evidence is very strong that the rival lacks a delay: it would be published as 0. A simpler structure must be
     better by the criterion and no worse in both. The delay that a structure without one neglects must be known to be
-    small. Since several structures are tried, the significance level is 2.5 % for all of them together (Bonferroni).
+    small. A limit of the acceleration, where its evidence is overwhelming, may predict worse far ahead. Since several
+    structures are tried, the significance level is 2.5 % for all of them together (Bonferroni).
     """
     near, far = (change_of(trial.held_out, rival.held_out, horizon, tries) for horizon in (NEAR, FAR))
     name, cheaper = rival.structure.name, trial.bic < rival.bic
@@ -355,7 +356,8 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     gained, missed = rival.bic - trial.bic, trial.structure.delayed and not rival.structure.delayed
     likelier = (gained > OVERWHELMING and near.smaller) or (gained > VERY_STRONG and missed)
     better = near.better or far.better or likelier
-    kept = near.no_worse and far.no_worse
+    limit = trial.structure.limited and gained > OVERWHELMING  # far ahead an offset counts, which no limit cures
+    kept = near.no_worse and (far.no_worse or limit)
     numbers = f"criterion {-gained:+.0f}, squared errors at 1 s {near.words}; at 5 s {far.words}"
     if cheaper and kept and (simpler or better) and trial.neglected <= NEGLIGIBLE_DELAY:
         return _Verdict(trial, rival, True, f"preferred to {name}: {numbers}")

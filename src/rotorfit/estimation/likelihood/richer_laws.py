@@ -119,9 +119,8 @@ def single(
 
 def applicable_structure(structure: Structure, group: Sequence[str]) -> Structure:
     """The structure; the first-order law where it couples x and y and these are not one group; yaw has no limit."""
-    if structure.limited and tuple(group) == ("yaw",):
-        return STRUCTURES["first_order_delay_lag"]
-    return FIRST_ORDER_DELAY if structure.coupled and tuple(group) != ("x", "y") else structure
+    lawless = (structure.coupled and tuple(group) != ("x", "y")) or (structure.limited and tuple(group) == ("yaw",))
+    return FIRST_ORDER_DELAY if lawless else structure
 
 
 def _records(serving: Sequence[Flight], axes: Sequence[str]) -> list[Record]:
