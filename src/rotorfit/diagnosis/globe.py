@@ -43,7 +43,7 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
     return math.radians(east), math.radians(north)
 
 
-def from_place(scale: float, place: float) -> tuple[float, float]:
+def scale_and_offset(scale: float, place: float) -> tuple[float, float]:
     """Scale and offset, in digits for a card, that turn a longitude or a latitude into metres from that of a place.
 
     Args:

@@ -4,11 +4,10 @@ command."""
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES, Array, heading_from_world
+from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.recording import Recording
 
@@ -197,13 +196,12 @@ def _latched(flight: Flight, motion: Motion) -> Iterator[Finding]:
             )
 
 
-def _within(time: Array, starts: Array, ends: Array) -> npt.NDArray[np.bool_]:
+def _within(time: Array, starts: Array, ends: Array) -> Mask:
     """Whether each time lies in one of the intervals."""
-    there: npt.NDArray[np.bool_] = np.any((time > starts[:, None]) & (time < ends[:, None]), axis=0)
-    return there
+    return np.asarray(np.any((time > starts[:, None]) & (time < ends[:, None]), axis=0))
 
 
-def _unexplained(flight: Flight, time: Array, velocity: Array, change: Array, known: npt.NDArray[np.bool_]) -> Array:
+def _unexplained(flight: Flight, time: Array, velocity: Array, change: Array, known: Mask) -> Array:
     """What velocity and recent commands leave of a change of the velocity, by a regression on the known ones alone."""
     commands = np.stack([lagged_command(flight, time, lag) for lag in LATCH_LAGS], axis=1)
     left = np.empty_like(change)

@@ -11,7 +11,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, POSE_UNITS, UNIT_SCALE, Array, Mask
 from rotorfit.core.frozen import SUFFERING
 from rotorfit.core.results import Motion
-from rotorfit.diagnosis.globe import from_place, is_latitude, is_longitude, metres_per_degree
+from rotorfit.diagnosis.globe import is_latitude, is_longitude, metres_per_degree, scale_and_offset
 from rotorfit.diagnosis.recording import Recording
 
 LEAP_SIGMAS = 10.0
@@ -320,7 +320,7 @@ def _degrees_of_the_globe(flight: Flight) -> Iterator[Finding]:
         return
     lines = []
     for axis, metres, first in zip(axes, metres_per_degree(float(place[0, 1])), place[0].tolist(), strict=True):
-        scale, offset = from_place(metres, first)
+        scale, offset = scale_and_offset(metres, first)
         lines.append(f'{axis} = {{ from = "{names[axis]}", scale = {scale:.9g}, offset = {offset:.9g} }}')
     yield Finding(
         "unit_mistake",

@@ -9,7 +9,7 @@ import numpy as np
 from rotorfit.core.card import UNITS_OF_POSE, UNITS_OF_VELOCITY, Channel
 from rotorfit.core.frames import AXES, UNIT_SCALE
 from rotorfit.core.log import Log, Table
-from rotorfit.diagnosis.globe import from_place, is_latitude, is_longitude, metres_per_degree
+from rotorfit.diagnosis.globe import is_latitude, is_longitude, metres_per_degree, scale_and_offset
 from rotorfit.diagnosis.pose_names import (
     NamedPose,
     bodies_named,
@@ -556,7 +556,7 @@ def _in_metres(log: Log, pose: Recognised) -> Recognised:
         return pose
     scale = metres_per_degree(float(fixes[0, 1]) * size)
     read = {
-        axis: Channel(pose.channels[axis].source, *from_place(size * scale[k], float(fixes[0, k])))
+        axis: Channel(pose.channels[axis].source, *scale_and_offset(size * scale[k], float(fixes[0, k])))
         for k, axis in enumerate("xy")
     }
     return replace(pose, channels={**pose.channels, **read})

@@ -236,12 +236,12 @@ def _jump(law: Array, a: int, change: float, spin: float) -> float:
 
 @inner(fastmath={"contract"})
 def _move(
-    law: Array, w: Array, S: Array, wx: float, wy: float, limited: float, spin: float, one: int, past: int
+    law: Array, w: Array, S: Array, wx: float, wy: float, limit_step: float, spin: float, one: int, past: int
 ) -> None:
     """The linear step `S` (2, 3, 12) of all runs under the demands wx and wy; see `general_step.linear_step`.
 
-    `spin` is 1 where the lagged demand is in the world frame, else 0; `limited` is the step where the acceleration of
-    an axis is limited, see `general_step`, else 0.
+    `spin` is 1 where the lagged demand is in the world frame, else 0; `limit_step` is the step where an axis has a
+    limit, see `general_step`, else 0.
     """
     xpv, xpq, xpc, xvv, xvq, xvc = S[0, 0, 0], S[0, 0, 1], S[0, 0, 3], S[0, 0, 4], S[0, 0, 5], S[0, 0, 7]
     xqv, xqq, xqc = S[0, 0, 8], S[0, 0, 9], S[0, 0, 11]
@@ -258,8 +258,8 @@ def _move(
         vx, vy = c * vx + s * vy, c * vy - s * vx
         qx, qy = qc * qx + qs * qy, qc * qy - qs * qx
         ux, uy = wx, wy
-        if limited:
-            mx, my = bx * (vx + 0.5 * limited * qx), by * (vy + 0.5 * limited * qy)
+        if limit_step:
+            mx, my = bx * (vx + 0.5 * limit_step * qx), by * (vy + 0.5 * limit_step * qy)
             dx, dy = wx - mx, wy - my
             share = 1.0 / max(1.0, np.sqrt((dx / most_x) ** 2 + (dy / most_y) ** 2))
             ux, uy = mx + (share if bent_x else 1.0) * dx, my + (share if bent_y else 1.0) * dy

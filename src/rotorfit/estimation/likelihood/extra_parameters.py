@@ -29,7 +29,7 @@ def estimated_extras(optimum: Optimum, k: int) -> tuple[Extra, ...]:
 
 MOST_GUSTS = 0.15
 """Share of the limit that what gusts make a velocity loop ask for may be, as a standard deviation. On flights with
-about 0.3, 9 of 15 intervals of the input held the truth, with 0.2, 37 of 40, all misses too low; with 0.1, 15 of 15."""
+0.3 (median), 9 of 15 intervals of the input held the truth, with 0.2, 37 of 40; with 0.1, 15 of 15."""
 
 LEAST_OWN = 1e-6
 """Share of the information about a further parameter that must remain when the other parameters are free."""
