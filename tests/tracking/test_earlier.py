@@ -15,7 +15,6 @@ from rotorfit.core.model import COEFFICIENTS, Model, unknown_axis
 from rotorfit.core.tracked import Track, Tracked, TrackedAxis
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import from_mapping, save, to_mapping
-from rotorfit.tracking import following as following_module
 from rotorfit.tracking.earlier import (
     SHARE,
     Earlier,
@@ -184,7 +183,7 @@ def test_once_this_flight_has_contradicted_an_axis_the_earlier_model_does_not_co
         seen.append((axis, alone))
         return replace(out, contradicts=("input",)) if len(seen) == 1 else out
 
-    monkeypatch.setattr(following_module, "told_after", contradicted_once)
+    monkeypatch.setattr("rotorfit.tracking.beside_earlier.told_after", contradicted_once)
     following = Following(LAW, 0.1, Earlier(own(), NAME))
     for part, now in itertools.islice(growing(known_flight(), 5.0), 2):
         following.look(part, now)

@@ -314,7 +314,7 @@ def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> Non
     flight, following = replace(known_flight(), axes=("z", "yaw")), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         state = following.look(part, now)
-    following._watched = dict.fromkeys(("z", "yaw"), 10.0)
+    following._watch.since = dict.fromkeys(("z", "yaw"), 10.0)
     before = _Before(following._since, following._changed, following._bounds, following._groups)
     first = Alarm(12.5, ("z", "yaw"), "thrust", (11.0, 12.0), {}, 0.9, 1e-9, "because")
     following._begin(first, 11.5, before)

@@ -21,7 +21,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import HARDLY, UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
+from rotorfit.core.tracked import UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.optima import between
@@ -39,20 +39,20 @@ from rotorfit.tracking.alarms import (
     sizes,
     with_sizes,
 )
+from rotorfit.tracking.beside_earlier import BesideEarlier
 from rotorfit.tracking.changes import (
     LEAST_CHUNKS,
     NEW,
     Contrast,
     begun_within,
     calm,
-    compares,
     earliest,
     likeliest,
     likeliest_begun,
     looked_together,
 )
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
-from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, tells_as_much, told_after
+from rotorfit.tracking.earlier import SHARE, Earlier
 from rotorfit.tracking.excited_time import QUIET
 from rotorfit.tracking.faults import checked, faults_after, last_turn, turns_of, with_faults
 from rotorfit.tracking.groups import (
@@ -79,7 +79,8 @@ from rotorfit.tracking.refits import (
     together,
 )
 from rotorfit.tracking.regimes import Bounds, fading, learnt_from, model_of_own, regimes_of
-from rotorfit.tracking.scores import CHUNK, WINDOWS, Scores
+from rotorfit.tracking.scores import CHUNK, WINDOWS
+from rotorfit.tracking.watch import Watch
 from rotorfit.tracking.wind_error import Doubt
 
 EVERY, GLANCE = 1.0, 0.25
@@ -187,12 +188,9 @@ class Following:
         earlier: Earlier | None = None,
         tuned: bool = False,
     ) -> None:
-        self._structure, self._earlier, self._often = structure, earlier, tuned or earlier is not None
+        self._structure, self._often = structure, tuned or earlier is not None
+        self._earlier = BesideEarlier(earlier, false_alarms_per_hour) if earlier else None
         self._false_alarms = false_alarms_per_hour * (1.0 - SHARE if earlier else 1.0)
-        self._false_comparisons = false_alarms_per_hour * SHARE
-        self._compared, self._unlike = 0.0, set[str]()
-        self._told_itself: set[str] = set()  # axes of which this flight has told as much as the earlier model
-        self._contradicts: dict[str, tuple[str, ...]] = {}  # the quantities that it contradicted a look ago
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
@@ -204,9 +202,7 @@ class Following:
         self._shown: tuple[Model | None, tuple[Finding, ...] | None, Model | None] = (None, None, None)
         self._suspected: float | None = None
         self._sinking: _BeforeSinking | None = None
-        self._watched: dict[str, float] = {}
-        self._untested: dict[str, float] = {}
-        self._tallied: dict[str, tuple[float, int, int]] = {}
+        self._watch = Watch()
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
         self._begins = np.inf
@@ -267,7 +263,7 @@ class Following:
             self._findings = checked(flight, turns_of(self._bounds), now)
         state = self._tracked(flight, now, (alarm,) if alarm else ())
         if self._earlier and not alarm and self._as_refitted() is not before:
-            unlike = self._another_vehicle(state, self._earlier)
+            unlike = self._earlier.another_vehicle(state, self._changed)
             return self._tracked(flight, now, (unlike,)) if unlike else state  # anew, without the earlier numbers
         return state
 
@@ -277,9 +273,8 @@ class Following:
         Models of regimes whose seconds are forgotten are part of it.
         """
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
-        told = {"compared": self._compared, "unlike": sorted(self._unlike), "watched": dict(self._watched)}
-        told |= {"kept": [(start, model and to_mapping(model)) for start, model in self._kept.items()]}
-        told |= {"told_itself": sorted(self._told_itself), "contradicts": dict(self._contradicts)}
+        kept = [(start, model and to_mapping(model)) for start, model in self._kept.items()]
+        told = {"kept": kept, "watched": dict(self._watch.since), **(self._earlier.memory() if self._earlier else {})}
         since = {"since": dict(self._since), "changed": dict(self._changed), "laws": dict(self._laws)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), "begins": self._begins, **told}
 
@@ -289,13 +284,12 @@ class Following:
         self._laws = dict(memory.get("laws", {}))
         self.next_look = memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
-        self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
-        self._told_itself = set(memory.get("told_itself", ()))
         self._kept = {
             start: model and from_mapping(model, "the state of the tracker") for start, model in memory.get("kept", ())
         }
-        self._contradicts = dict(memory.get("contradicts", {}))
-        self._watched, self._begins = dict(memory.get("watched", {})), memory.get("begins", np.inf)
+        self._watch.since, self._begins = dict(memory.get("watched", {})), memory.get("begins", np.inf)
+        if self._earlier:
+            self._earlier.recall(memory)
 
     def finish(self, flight: Flight, now: float, alarms: tuple[Alarm, ...] = ()) -> tuple[Tracked, tuple[Regime, ...]]:
         """The final state, after a last fit of each group, and the regimes with their models.
@@ -396,7 +390,7 @@ class Following:
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths, back)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
-        self._watch(scored, lengths, now)
+        self._watch.note(scored, lengths, now, self._alarms())
         found = rarest(known, flight, looked, lengths, back, threshold)
         if not found:
             self._raised = self._joined(flight, now) if lengths == WINDOWS else None
@@ -461,28 +455,13 @@ class Following:
         self._begin(alarm, when, raised.before)
         return alarm
 
+    def _alarms(self) -> list[Alarm]:
+        """Those raised so far, in the order of their changes."""
+        return [alarm for _, alarm in self._bounds if alarm]
+
     def _suspects(self, now: float) -> bool:
         """Whether a change may have come that only the air speaks against: what is learnt of it would hide it."""
         return self._suspected is not None and now < self._suspected + NEW
-
-    def _watch(self, scored: Mapping[tuple[str, ...], Scores], lengths: Sequence[float], now: float) -> None:
-        """Notes the axes about which an alarm can be raised from now on, and how much of their time is not tested."""
-        watched = self._watched_again()
-        for names, scores in scored.items():
-            axes, until = {name.partition(".")[0] for name in names}, float(scores.time[-1])
-            untested, rows = scores.untested(until - WINDOWS[-1])
-            self._untested |= dict.fromkeys(axes, untested / rows)
-            for axis in axes:
-                before = self._tallied.get(axis, (-np.inf, 0, 0))
-                new = scores.untested(before[0])
-                self._tallied[axis] = until, before[1] + new[0], before[2] + new[1]
-            if not axes <= watched.keys() and untested < HARDLY * rows and compares(scores, lengths):
-                self._watched = {**self._watched, **dict.fromkeys(axes - watched.keys(), now)}
-
-    def _watched_again(self) -> dict[str, float]:
-        """Axis to the time of the first test since its last alarm that could have raised another [s]."""
-        raised = {axis: alarm.raised for _, alarm in self._bounds if alarm for axis in alarm.axes}
-        return {axis: time for axis, time in self._watched.items() if time > raised.get(axis, 0.0)}
 
     def _begin(self, alarm: Alarm, when: float, before: _Before) -> None:
         """Begins a regime for the axes of an alarm; an axis that only its first version named is as it was before."""
@@ -502,28 +481,6 @@ class Following:
             elif group.since != known.since:
                 groups[axes] = known
         self._groups = groups
-
-    def _another_vehicle(self, state: Tracked, earlier: Earlier) -> Alarm | None:
-        """The alarm that the vehicle is not that of the earlier model, if a refit shows it.
-
-        The promised false alarms accrue with time: a comparison may spend those of the time since the last one.
-        """
-        axes = {
-            axis: one
-            for axis, one in state.axes.items()
-            if not one.earlier
-            and axis not in self._changed
-            and axis not in self._unlike
-            and tells_as_much(one, earlier, axis)
-        }
-        every = [unlike for axis, one in axes.items() for unlike in compared(one, earlier, axis)]
-        if not every:
-            return None
-        threshold = self._false_comparisons * (state.time - self._compared) / 3600.0 / len(every)
-        self._compared = state.time
-        found = [one for one in every if one.p_value < threshold]
-        self._unlike |= {one.name.partition(".")[0] for one in found}
-        return another_vehicle(found, earlier, state.time) if found else None
 
     def _at_rest(
         self,
@@ -616,16 +573,7 @@ class Following:
         }
         axes |= {axis: replace(one, state=f"{one.state} (so far {HELD})") for axis, one in axes.items() if axis in held}
         if self._earlier:
-            alone = AXES if self._unlike else (*self._changed, *self._told_itself)
-            self._told_itself |= {axis for axis, one in axes.items() if tells_as_much(one, self._earlier, axis)}
-            axes = {
-                axis: one
-                if axis in self._changed
-                else told_after(one, self._earlier, axis, axis in alone, self._contradicts.get(axis, ()))
-                for axis, one in axes.items()
-            }
-            self._contradicts = {axis: one.contradicts for axis, one in axes.items() if one.contradicts}
-            self._told_itself |= self._contradicts.keys()
+            axes = self._earlier.told(axes, self._changed)
         model, findings = self._with_findings(flight), self._findings
         return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, model, findings=findings)
 
@@ -666,10 +614,9 @@ class Following:
             if fitted and axis in fitted.estimates and structure != law:
                 state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
-        out = TrackedAxis(knowledge, state, watched=self._watched_again().get(axis), untested=self._untested.get(axis))
-        if axis in self._tallied:
-            _, untested, rows = self._tallied[axis]
-            out = replace(out, untested_in_all=untested / rows)
+        out = TrackedAxis(knowledge, state, watched=self._watch.again(self._alarms()).get(axis))
+        if seen := self._watch.of(axis):
+            out = replace(out, untested=seen.lately, untested_in_all=seen.untested / seen.rows)
         if fitted and report:
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure

@@ -226,7 +226,7 @@ class Tracker:
     @property
     def another(self) -> bool:
         """Whether the vehicle was found not to be that of the earlier model."""
-        return bool(self._memory["unlike"])
+        return bool(self._memory.get("unlike"))
 
     def memory(self) -> dict[str, Any]:
         """What `recall` of another tracker continues from, as arrays: the flight so far, its regimes, and the card."""
@@ -250,7 +250,7 @@ class Tracker:
             raise CardError(f"was learnt with the card {name}, not with {mine}; name another file")
         Following().recall(told)  # the looks may be in another process, where nobody could say what is wrong with it
         self._growing.recall(memory)
-        self._memory = {"unlike": (), **told}
+        self._memory = told
         self._due = float(self._memory["next_look"])
         self._looks.recall(self._memory)
 
