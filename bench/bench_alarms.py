@@ -37,7 +37,8 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.limits import GRAVITY
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Alarm
-from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, REVISED, Following
+from rotorfit.tracking.change_watch import GLANCE, REVISED
+from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, Following
 from rotorfit.tracking.groups import scores_of_groups
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.refits import applied
@@ -224,7 +225,7 @@ def _usual(before: np.ndarray, shape: np.ndarray, scores: Scores) -> float:
 
 def _innovations(following: Following, flight: Flight) -> list[Scores]:
     """Those of a flight under the estimates of a tracker."""
-    known = [group.fitted for group in following._groups.values() if group.fitted]
+    known = [group.fitted for group in following.learnt.groups.values() if group.fitted]
     return scores_of_groups([applied(one, flight) for one in known], flight)
 
 

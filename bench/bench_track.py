@@ -32,7 +32,8 @@ from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import estimands
-from rotorfit.tracking.following import GLANCE, Following
+from rotorfit.tracking.change_watch import GLANCE
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, until
 
 MOMENTS = (5.0, 10.0, 20.0, 40.0)

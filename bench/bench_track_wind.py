@@ -69,7 +69,7 @@ def errors(flown: ChangingFlight, structure: str) -> list[dict[str, float]]:
             continue
         true = damping * heading_from_world(flown.wind[n - 1 : n, :2], part.yaw[-1:])[0]
         estimates = {}
-        for group in following._groups.values():
+        for group in following.learnt.groups.values():
             estimates |= group.fitted.estimates if group.fitted else {}
         exact = {axis: informed(estimates[axis], flown, axis) for axis in "xy"}
         known = courses(part, exact, {})[0]

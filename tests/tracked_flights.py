@@ -16,7 +16,8 @@ from rotorfit.core.frames import Array
 from rotorfit.core.tracked import Alarm, Track
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.simulation.paper_vehicle import Truth
-from rotorfit.tracking.following import GLANCE, REVISED, Following
+from rotorfit.tracking.change_watch import GLANCE, REVISED
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, tracked
 
 LAW = "first_order_delay"

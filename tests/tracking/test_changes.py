@@ -7,6 +7,7 @@ import pytest
 
 from rotorfit.core.limits import GRAVITY
 from rotorfit.core.tracked import Alarm
+from rotorfit.tracking.change_watch import GLANCE
 from rotorfit.tracking.changes import (
     Contrast,
     at_once,
@@ -19,7 +20,7 @@ from rotorfit.tracking.changes import (
     looks,
     pushes,
 )
-from rotorfit.tracking.following import GLANCE, SHORT, Following
+from rotorfit.tracking.following import SHORT, Following
 from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import growing

@@ -19,9 +19,12 @@ from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.files.models import load, save, to_mapping
 from rotorfit.simulation.paper_vehicle import Controller, Truth
+from rotorfit.tracking import change_watch
 from rotorfit.tracking import following as following_module
-from rotorfit.tracking.following import GLANCE, Following, _Before
+from rotorfit.tracking.change_watch import GLANCE, ChangeWatch
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.groups import Group, recent_groups
+from rotorfit.tracking.learnt import after_change
 from rotorfit.tracking.refits import (
     REFIT,
     REFIT_SETTLED,
@@ -256,14 +259,16 @@ def test_what_rest_explains_is_judged_by_the_flight_before_the_change() -> None:
     flight = replace(flight, command=flight.command / less, axes=("x", "y"))
     following = Following(LAW)
     following.look(until(flight, 20.0), 20.0)
-    following._change(until(flight, 20.25), 20.25, standing=True)
-    assert following._sinking is not None
-    before, names = following._sinking.groups, ("x.input", "y.input")
-    assert following._at_rest(flight, 26.0, before, names, 20.0, 0.0)  # as if nothing were seen any more
+    seen = change_watch._Suspicion(("x.input", "y.input"), before=20.0, threshold=0.0)  # as if nothing were seen then
+    changes = ChangeWatch(LAW, 0.1)
+    changes.test(following.learnt, until(flight, 20.25), 20.25, standing=True)
+    group = changes._at_rest(following.learnt.groups, flight, 26.0, seen)
 
-    assert all(one.answers is not None for axes, one in following._sinking.groups.items() if "x" in axes)
-    (group,) = (one for axes, one in following._groups.items() if "x" in axes)
+    assert group is not None
     assert group.answers is not None
+    assert changes._sinking is not None
+    held = changes._holding(following.learnt, group)
+    assert group == held.groups[group.axes] == changes._sinking.groups[group.axes]
     assert group.fitted is not None
     assert max(part.segments[-1].end for part in group.fitted.fit.flights) <= 20.0
     low, high = axis_report(group.fitted, "x").ci95["input"]
@@ -279,7 +284,7 @@ def test_a_lag_that_keeps_its_direction_is_no_change_when_the_vehicle_begins_to_
     flight = flown_by(WORLD_LAG, plane, 40.0, wind=0.01, noise=0.001, turn=4.0, straight=turns)
     flight = replace(flight, command=flight.command / np.where(flight.command_time > turns, gain, 1.0)[:, None])
     following, straight = Following(), refitted(until(flight, turns), plane, AVERAGED, turns)
-    following._groups = {plane: Group(plane, 0.0, straight)}
+    following.learnt = following.learnt.holding(Group(plane, 0.0, straight))
     told = [following.glance(until(flight, now), now) for now in np.arange(turns, 40.0, GLANCE)]
     found = [alarm.time for state in told if state for alarm in state.alarms]
 
@@ -287,7 +292,7 @@ def test_a_lag_that_keeps_its_direction_is_no_change_when_the_vehicle_begins_to_
     if gain != 1.0:
         assert found[0] < turns + 5.0
         return
-    fitted = following._groups[plane].fitted
+    fitted = following.learnt.groups[plane].fitted
     assert not found
     assert fitted is not None
     assert fitted.fit.model.axes["x"].structure == WORLD_LAG
@@ -314,12 +319,13 @@ def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> Non
     flight, following = replace(known_flight(), axes=("z", "yaw")), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         state = following.look(part, now)
-    following._watch.since = dict.fromkeys(("z", "yaw"), 10.0)
-    before = _Before(following._since, following._changed, following._bounds, following._groups)
+    following._changes.watch.since = dict.fromkeys(("z", "yaw"), 10.0)
+    before = following.learnt
     first = Alarm(12.5, ("z", "yaw"), "thrust", (11.0, 12.0), {}, 0.9, 1e-9, "because")
-    following._begin(first, 11.5, before)
+    following.learnt = after_change(before, before, first, 11.5)
     learning = following.look(until(flight, 13.0), 13.0).axes
-    following._begin(replace(first, time=13.5, axes=("z",), cause="payload", revises=12.5), 11.6, before)
+    second = replace(first, time=13.5, axes=("z",), cause="payload", revises=12.5)
+    following.learnt = after_change(following.learnt, before, second, 11.6)
     again = following.look(until(flight, 14.0), 14.0)
 
     assert state.axes["yaw"].knowledge == "known"
@@ -377,14 +383,14 @@ def test_a_model_of_a_regime_knows_of_each_axis_what_all_the_flight_tells_in_whi
 
 def test_other_axes_that_changed_at_the_same_instant_are_part_of_the_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
     """All gains change at 20 s; at first that of yaw alone is seen, and taken for a weak rotor, as in gusts."""
-    told, calls = following_module.diagnosed, list[int]()
+    told, calls = change_watch.diagnosed, list[int]()
 
     def at_first(*seen):  # type: ignore[no-untyped-def]
         calls.append(1)
         named = told(*seen)
         return named if len(calls) > 2 else replace(named, cause="thrust", axes=("yaw",), shifted=(), change={})
 
-    monkeypatch.setattr(following_module, "diagnosed", at_first)
+    monkeypatch.setattr(change_watch, "diagnosed", at_first)
     flight, following = flown(TRUTH, steps(seed=6), 25.0, seed=6), Following(LAW)
     flight = replace(flight, command=flight.command / np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None])
     states = [following.follow(part, now) for part, now in growing(flight, 15.0, GLANCE)]
@@ -394,14 +400,14 @@ def test_other_axes_that_changed_at_the_same_instant_are_part_of_the_alarm(monke
     assert [(one.cause, one.axes) for one in alarms] == [("thrust", ("yaw",))] * 2 + [("limits", AXES)]
     assert [one.revises for one in again] == [first.time] * 2
     assert revised(alarms) == (again[-1],)
-    assert following._bounds[1:] == [(following._bounds[1][0], again[-1])]
+    assert following.learnt.bounds[1:] == [(following.learnt.bounds[1][0], again[-1])]
     for low, high in again[-1].change.values():
         assert low < 1.25 < high
 
 
 def test_axes_that_were_told_of_stay_part_of_an_alarm_that_others_join(monkeypatch: pytest.MonkeyPatch) -> None:
     """All gains change at 20 s, and are seen on yaw at first, on x and z alone a moment later."""
-    told, calls = following_module.diagnosed, list[int]()
+    told, calls = change_watch.diagnosed, list[int]()
 
     def in_turn(*seen):  # type: ignore[no-untyped-def]
         calls.append(1)
@@ -409,7 +415,7 @@ def test_axes_that_were_told_of_stay_part_of_an_alarm_that_others_join(monkeypat
         later = {"cause": "other", "axes": ("x", "z"), "confidence": 0.6}
         return replace(told(*seen), **(first if len(calls) <= 2 else later))
 
-    monkeypatch.setattr(following_module, "diagnosed", in_turn)
+    monkeypatch.setattr(change_watch, "diagnosed", in_turn)
     flight, following = flown(TRUTH, steps(seed=6), 25.0, seed=6), Following(LAW)
     flight = replace(flight, command=flight.command / np.where(flight.command_time > 20.0, 1.25, 1.0)[:, None])
     states = [following.follow(part, now) for part, now in growing(flight, 15.0, GLANCE)]
@@ -417,7 +423,7 @@ def test_axes_that_were_told_of_stay_part_of_an_alarm_that_others_join(monkeypat
 
     assert (last.cause, last.confidence) == ("limits", 0.9)
     assert set(last.axes) >= {"x", "z", "yaw"}
-    assert following._changed.keys() == set(last.axes)
+    assert following.learnt.changed.keys() == set(last.axes)
 
 
 def test_an_axis_whose_change_is_too_small_to_alarm_joins_the_alarm_of_others() -> None:
@@ -459,7 +465,7 @@ def test_a_refit_that_knows_axes_and_laws_stands_for_longer_while_its_values_sta
     flight, following = replace(known_flight(), axes=("z",)), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         following.look(part, now)
-    (fitted,) = (group.fitted for axes, group in following._groups.items() if "z" in axes)
+    (fitted,) = (group.fitted for axes, group in following.learnt.groups.items() if "z" in axes)
     assert fitted is not None
     optimum = fitted.estimates["z"].optimum
     left = replace(optimum, point=replace(optimum.point, delay=optimum.point.delay + 0.2))
@@ -558,8 +564,8 @@ def test_a_heading_that_is_off_from_the_start_is_told_as_of_a_log_and_kept_in_th
 
 def test_a_revision_that_was_due_does_not_undo_what_a_jump_of_the_heading_began() -> None:
     following, part = Following(LAW), until(known_flight(), 4.0)
-    following._raised = following._told = cast(Any, "an alarm of 3.0 s")
+    following._changes._raised = following._changes._told = cast(Any, "an alarm of 3.0 s")
     following.follow(part, 3.5, alarms=(replace(JUMP, since=(3.36, 3.38)),))
 
-    assert following._since == {"x": 3.38, "y": 3.38, "z": 0.0, "yaw": 0.0}
-    assert (following._raised, following._told) == (None, None)
+    assert following.learnt.since == {"x": 3.38, "y": 3.38, "z": 0.0, "yaw": 0.0}
+    assert (following._changes._raised, following._changes._told) == (None, None)

@@ -8,9 +8,10 @@ import numpy as np
 from rotorfit.core.flight_data import Flight, Note, Segment
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.tracked import Alarm, Track, Tracked
+from rotorfit.tracking.change_watch import GLANCE
 from rotorfit.tracking.earlier import Earlier, check_earlier
 from rotorfit.tracking.flight_so_far import NOTES
-from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, GLANCE, Following
+from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, Following
 from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.pose_watch import PoseWatch
 

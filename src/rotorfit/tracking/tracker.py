@@ -27,9 +27,10 @@ from rotorfit.core.model import Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Alarm, Motion, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.files.cards import load_card
+from rotorfit.tracking.change_watch import GLANCE
 from rotorfit.tracking.earlier import Earlier, check_earlier, earlier_of, until_known
 from rotorfit.tracking.flight_so_far import UNRECORDED
-from rotorfit.tracking.following import FALSE_ALARMS_PER_HOUR, GLANCE, Following, next_look
+from rotorfit.tracking.following import FALSE_ALARMS_PER_HOUR, Following, next_look
 from rotorfit.tracking.growing_flight import GrowingFlight, Part
 from rotorfit.tracking.looks import End, Looks, LooksHere
 from rotorfit.tracking.looks_beside import LooksBeside
