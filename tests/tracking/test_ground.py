@@ -80,3 +80,29 @@ def test_poses_as_noisy_as_those_of_a_satellite_receiver_rest_on_the_ground_and_
 
     assert not any(stands for time, stands in told if 3.0 < time < 22.0)
     assert np.mean([stands for time, stands in told if time > 25.5]) > 0.97
+
+
+def landed_of(stops: float, lag: float) -> list[tuple[float, float]]:
+    """The landings seen in a flight that sinks at 0.5 m/s until its command ends at 4 s, and climbs from 8 s on.
+
+    Args:
+        stops: Height at which nothing lets it sink further [m].
+        lag: Time constant with which it follows its commands [s].
+    """
+    ground, height, speed, rng = Ground(), 2.0, 0.0, np.random.default_rng(1)
+    for time in np.arange(0.0, 10.0, 0.01):
+        asked = -0.5 if 1.0 < time < 4.0 else 0.5 if time > 8.0 else 0.0
+        speed += 0.01 * (asked - speed) / lag
+        height = max(height + 0.01 * speed, stops)
+        speed = speed if height > stops else max(speed, 0.0)
+        ground.command(time, (0.0, 0.0, asked, 0.0))
+        ground.pose(time, np.array([0.0, 0.0, height, 0.0]) + rng.normal(0, 0.001, 4))
+    return ground.landed(10.0)
+
+
+def test_who_stops_at_once_has_landed_and_who_slows_down_hovers() -> None:
+    ((down, up),) = landed_of(stops=0.65, lag=0.2)
+
+    assert 3.7 < down < 4.0  # the command ends in the moment of the touchdown
+    assert 8.0 < up < 8.5
+    assert landed_of(stops=-np.inf, lag=0.2) == []

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from flights import STILL, flown, steps, truth_of
-from rotorfit.core.frames import AXES
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.estimation.fitting import fit
 from rotorfit.tracking.replayed import growing, tracked, until
@@ -135,3 +136,35 @@ def test_single_wild_poses_are_left_out_as_of_a_link_and_counted() -> None:
             assert low is not None
             assert high is not None
             assert value == pytest.approx(track.states[-1].axes[axis].values[name], abs=0.05 * (high - low))
+
+
+def landed_on_the_way() -> Flight:
+    """A flight that sinks onto a ground at about 22 s, stands, and takes off at 28 s."""
+    moving = steps(seed=5)
+
+    def commanded(t: Array) -> Array:
+        asked = np.where(((t < 19.0) | (t > 29.0))[:, None], moving(t), 0.0)
+        asked[:, 2] += np.where((t > 19.0) & (t < 22.0), -0.4, 0.0) + np.where((t > 28.0) & (t < 29.0), 0.4, 0.0)
+        return asked
+
+    flight = flown(TRUTH, commanded, 36.0, seed=5)
+    time, rng = flight.pose_time, np.random.default_rng(5)
+    stands = (time > 21.9) & (time < 28.0)
+    down, up = (int(np.flatnonzero(stands)[k]) for k in (0, -1))
+    position, yaw = flight.position.copy(), flight.yaw.copy()
+    for each in (position, yaw):
+        each[up:] += each[down] - each[up]
+        each[stands] = each[down] + rng.normal(0, 0.0005, each[stands].shape)
+    return replace(flight, position=position, yaw=yaw)
+
+
+def test_of_a_log_a_landing_on_the_way_is_no_change_and_does_not_spoil_what_is_learnt() -> None:
+    track = tracked(landed_on_the_way(), LAW, 0.1)
+
+    assert track.alarms == ()
+    assert len(track.regimes) == 1
+    for name, true in truth_of(TRUTH, "z").items():
+        low, high = track.states[-1].axes["z"].ci95[name]
+        assert low is not None
+        assert high is not None
+        assert low < true < high

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,7 @@ NOTES = {
     "late_poses": "poses were no newer than the last: left out",
     "stale_poses": "poses repeat the one before with a fresh stamp: left out",
     "wild_poses": "poses lie where no vehicle can be a moment later, and the next do not: left out",
+    "landed": "stands on the ground after a landing on the way: left out",
     "strange_stamps": "stamps cannot be true beside the arrival of the sample, or the stamps around it: left out",
     "not_numbers": "samples are no numbers: left out",
     "pose_clock_steps": "steps of the poses' clock, by their arrivals: removed from the stamps",
@@ -170,7 +171,7 @@ class FlightSoFar:
         runs = _runs(time, np.minimum(until, self.commands.last))
         segments = tuple(
             part
-            for part in _without(runs, self.standing, self.jumps)
+            for part in parts_without(runs, self.standing, self.jumps)
             if part.end - part.start > SHORTEST
             and np.searchsorted(poses, part.end) - np.searchsorted(poses, part.start) > 1
         )
@@ -233,8 +234,8 @@ def _runs(time: Array, until: Array) -> Iterator[tuple[float, float]]:
     yield from zip(time[fresh].tolist(), until[last].tolist(), strict=True)
 
 
-def _without(
-    runs: Iterator[tuple[float, float]], closed: Sequence[tuple[float, float]], jumps: Sequence[float]
+def parts_without(
+    runs: Iterable[tuple[float, float]], closed: Sequence[tuple[float, float]], jumps: Sequence[float]
 ) -> Iterator[Segment]:
     """The runs without the closed intervals, split where the pose jumped."""
     holes = sorted((*closed, *((float(np.nextafter(jump, -np.inf)), jump) for jump in jumps)))

@@ -8,6 +8,8 @@ Between touching down and being seen to stand lies a second in which the ground 
 sunk, as commanded, to the lowest height so far, or no longer sinks as commanded, may have touched down. So the ground
 is also found where it is higher than before, or where the height has drifted. Likewise who climbs or sinks since all
 commands became zero may take off or land by itself.
+
+Who stopped at once under a command to sink, and then stands, has landed for sure: no hover ends like that.
 """
 
 from collections import deque
@@ -49,6 +51,10 @@ SANK, HELD_UP, SLOWED, STILL_ASKED = 0.1, 0.15, 0.3, 0.15
 """How far a vehicle that may have touched down has sunk over the window [m]; time over which it sinks at less than a
 share of its speed before [s], and that share; the age of the last command to sink [s]."""
 
+UNDIMINISHED, THEN = 0.5, 3.0
+"""Share of the strongest command to sink of the window, asked for when it stopped, that no vehicle obeys by stopping at
+once; and how long after that a vehicle that stands has landed [s]."""
+
 LET_GO = 0.25
 """Time without a non-zero command after which a vehicle that climbs or sinks may do so by itself [s]; twice `SILENT`
 after it, it either does or has come to rest."""
@@ -63,6 +69,7 @@ class Ground:
     def __init__(self) -> None:
         self.level = np.inf
         self._closed: list[tuple[float, float]] = []
+        self._landed: list[tuple[float, float]] = []
         self._since: float | None = None
         self._obeys, self._allowed = True, -np.inf  # when the commands were last obeyed again
         self._recent: deque[tuple[float, Array]] = deque()
@@ -71,6 +78,9 @@ class Ground:
         self._looked = -np.inf
         self._asked = -np.inf  # when a command last asked for anything
         self._down = -np.inf  # when a command last asked to sink
+        self._vertical: deque[tuple[float, float]] = deque()  # the vertical commands of the window
+        self._struck = -np.inf  # when the vehicle last stopped at once although commanded to sink
+        self._lands = False  # whether it stands because of that
         self._sank = -np.inf  # when the vehicle may last have touched down, having sunk as commanded
         self._alone = False  # whether it climbs or sinks without being asked
 
@@ -103,6 +113,9 @@ class Ground:
             self._asked = time
         if values[2] < -ASKED:
             self._down = time
+        self._vertical.append((time, values[2]))
+        while self._vertical[0][0] < time - WINDOW:
+            self._vertical.popleft()
 
     def report(self, time: float, obeys: bool) -> None:
         """Takes the vehicle's own report.
@@ -115,7 +128,7 @@ class Ground:
             self._allowed = time
         self._obeys = obeys
         if not obeys and self._since is None:
-            self._since = time
+            self._since, self._lands = time, False
 
     def pose(self, time: float, pose: Array) -> None:
         """Takes a pose.
@@ -140,26 +153,30 @@ class Ground:
         if time - begun < WINDOW - EVERY:
             return
         ranges = np.ptp(past, axis=0)
-        sinks = time - self._down <= STILL_ASKED
-        held_up = sinks and self._slowed(past[:, 2])
+        sinks, slowed = time - self._down <= STILL_ASKED, self._slowed(past[:, 2])
+        held_up = sinks and slowed
         sank = bool(np.max(past[:, 2]) - past[-1, 2] > SANK)
         if sank and time - self._down <= WINDOW and (held_up or self.low(float(pose[2]))):
             self._sank = time
+        if sank and slowed and self._undiminished(time - HELD_UP - EVERY):
+            self._struck = time - HELD_UP
         climb = float(past[-1, 2] - past[len(past) // 2, 2]) / max(time - self._recent[len(past) // 2][0], EVERY)
         silent = not self.asked_within(time, SILENT)
         rests = self._still(past, 1.0)
         self._alone = LET_GO < time - self._asked < 2 * SILENT and abs(climb) > CALM
         if self._since is None:
             if rests and (self.low(float(pose[2])) or (sinks and self._looked - self._sank < 3 * WINDOW)):
-                self._since, self.level = begun, float(pose[2])
+                self._lands = time - self._struck < THEN
+                self._since, self.level = min(begun, self._struck) if self._lands else begun, float(pose[2])
             elif silent and abs(climb) > BY_ITSELF:
-                self._since = max(self._asked + SILENT, begun)
+                self._since, self._lands = max(self._asked + SILENT, begun), False
             return
         moving_by_itself = silent and (abs(climb) > CALM or self.low(float(pose[2])))
         if self._obeys and not self._still(past, LEAVES) and not moving_by_itself:
             sideways = int(np.argmax(ranges / RESTS)) != 2
             end = max(time - BEGUN, self._since) if sideways else time
             self._closed.append((self._since, max(end, self._allowed)))
+            self._landed += self._closed[-1:] if self._lands else []
             self._since = None
 
     def _hear(self, time: float, pose: Array) -> None:
@@ -194,6 +211,13 @@ class Ground:
         before, now = np.diff(height[[0, turn, -1]]) / np.maximum(np.diff(times[[0, turn, -1]]), 1e-6)
         return bool(now > SLOWED * before)
 
+    def _undiminished(self, since: float) -> bool:
+        """Whether a command from a time [s] on asked to sink about as fast as any of the window."""
+        return any(
+            time >= since and down <= UNDIMINISHED * min(-ASKED, *(one for _, one in self._vertical))
+            for time, down in self._vertical
+        )
+
     def jumped(self, to: float) -> None:
         """Takes note that the pose jumped, to a height [m]: that of the ground has changed by as much."""
         if self._recent:
@@ -208,6 +232,10 @@ class Ground:
     def standing(self, now: float) -> list[tuple[float, float]]:
         """Intervals in which nothing can be learnt, in order, up to now [s]."""
         return [*self._closed, *([(self._since, now)] if self._since is not None else [])]
+
+    def landed(self, now: float) -> list[tuple[float, float]]:
+        """Those of them in which the vehicle stood after a landing that it was commanded, in order, up to now [s]."""
+        return [*self._landed, *([(self._since, now)] if self._since is not None and self._lands else [])]
 
     def intervals(self) -> list[tuple[float, float]]:
         """The same intervals for a file; one that is not over ends at infinity [s]."""

@@ -10,7 +10,7 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.tracked import Alarm, Track, Tracked
 from rotorfit.tracking.change_watch import GLANCE
 from rotorfit.tracking.earlier import Earlier, check_earlier
-from rotorfit.tracking.flight_so_far import NOTES
+from rotorfit.tracking.flight_so_far import NOTES, SHORTEST, parts_without
 from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, Following
 from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.pose_watch import PoseWatch
@@ -53,7 +53,7 @@ def tracked(
     for part, now in growing(flight, following.next_look, GLANCE):
         jumped += _watched(ground, watch, part, seen, wild)
         seen = now
-        learnt = _split(_without_poses(part, wild), watch.jumps)
+        learnt = _in_flight(_without_poses(part, wild), ground.landed(now), watch.jumps)
         if state := following.follow(learnt, now, ground.touches, tuple(jumped)):
             states.append(state)
             jumped = []
@@ -61,8 +61,9 @@ def tracked(
         if stopped():
             flight = part
             break
-    learnt = _split(_without_poses(flight, wild), watch.jumps)
-    last, regimes = following.finish(learnt, flight.segments[-1].end, tuple(jumped))
+    end = flight.segments[-1].end
+    learnt = _in_flight(_without_poses(flight, wild), ground.landed(end), watch.jumps)
+    last, regimes = following.finish(learnt, end, tuple(jumped))
     on_state(last)
     return Track((*states, last), regimes)
 
@@ -108,14 +109,17 @@ def _without_poses(flight: Flight, times: set[float]) -> Flight:
     )
 
 
-def _split(flight: Flight, jumps: Sequence[float]) -> Flight:
-    """The flight with its segments split where the pose jumped [s]: no motion leads from before to after."""
-    parts: list[Segment] = []
-    for part in flight.segments:
-        inner = [jump for jump in jumps if part.start < jump < part.end]
-        ends = [float(np.nextafter(jump, -np.inf)) for jump in inner]
-        parts += map(Segment, (part.start, *inner), (*ends, part.end))
-    return replace(flight, segments=tuple(parts)) if jumps else flight
+def _in_flight(flight: Flight, landed: Sequence[tuple[float, float]], jumps: Sequence[float]) -> Flight:
+    """The flight without the intervals in which it had landed [s], and split where the pose jumped [s].
+
+    No motion leads from before a jump to after it. Other rests stay, as in the fit of a log: it may have hovered.
+    """
+    if not landed and not jumps:
+        return flight
+    parts = parts_without(((part.start, part.end) for part in flight.segments), landed, jumps)
+    seen = [part for part in parts if part.end - part.start > SHORTEST]
+    notes = [Note("landed", f"{len(landed)} {NOTES['landed']}", len(landed))] if landed else []
+    return replace(flight, segments=tuple(seen), notes=(*flight.notes, *notes))
 
 
 def growing(flight: Flight, begin: float, every: float = EVERY) -> Iterator[tuple[Flight, float]]:
