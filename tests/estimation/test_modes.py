@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flights import Excitation, flown, steps, truth_of
+from flights import STILL, Excitation, flown, steps, truth_of, two_sines
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.model import COEFFICIENTS, Model
 from rotorfit.estimation.fitting import fit
@@ -25,7 +25,7 @@ from rotorfit.estimation.likelihood.optima import (
     without_input,
 )
 from rotorfit.estimation.likelihood.trims import trims_of
-from rotorfit.simulation.paper_vehicle import GAMMA_E, Controller, Truth
+from rotorfit.simulation.paper_vehicle import GAMMA_A, GAMMA_E, Controller, Truth
 
 pytestmark = pytest.mark.flights
 
@@ -54,6 +54,15 @@ def test_in_open_loop_the_search_finds_the_vehicle_and_believes_it(axes: tuple[s
         assert found[0].prediction[k] < 0.5 * found[0].held[k]
     assert sum(one.starts for one in found) == len(STARTS)
     assert found[0].starts >= 3
+
+
+@pytest.mark.parametrize("pose_rate", [60.0, 70.0])
+def test_without_noise_no_ledge_of_the_likelihood_is_taken_for_its_top(pose_rate: float) -> None:
+    still = replace(STILL, gamma=GAMMA_A, pose_rate=pose_rate)
+    _, (best, *_) = searched(flown(still, two_sines, 20.0), ("yaw",))
+
+    assert best.optimum.point.delay[0] == pytest.approx(truth_of(still, "yaw")["delay"], abs=1e-6)
+    assert best.optimum.point.gain[0] == pytest.approx(truth_of(still, "yaw")["input"], rel=1e-6)
 
 
 def test_the_optima_are_told_apart_and_ordered_by_prediction_behind_the_believed_one() -> None:

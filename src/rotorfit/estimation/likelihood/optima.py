@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array, Mask
-from rotorfit.core.laws import FIRST_ORDER_DELAY, start_levels
+from rotorfit.core.laws import FIRST_ORDER_DELAY, level_range, start_levels
 from rotorfit.dynamics.protocol import AxisDynamics, hold_velocity, horizon_errors, predict_flight
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE, Record, measured_by
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, climb, maximise
@@ -33,6 +33,12 @@ START_BLOCKS = 6
 
 FINISH = 15
 """Passes with free levels for an optimum from a later start: enough to judge it."""
+
+NOISELESS = 0.1
+"""Logarithm by which the noise of the poses may exceed its lower bound and count as none."""
+
+SMOOTH = 1e-4
+"""Expected gain in log-likelihood below which a climb at the levels of the start ends: there the likelihood is flat."""
 
 BACKWARDS = np.log(8.0)
 """Logarithm of the damping above which a model has no memory: its velocity is proportional to the command."""
@@ -94,7 +100,9 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
     """Climbs from every start and collects the distinct optima, the selected one first.
 
     The climb from the first start also estimates the disturbance levels; the others start with those levels held, and
-    every new optimum is then climbed further with free levels.
+    every new optimum is then climbed further with free levels. Where the poses have no noise, as of a simulation, every
+    slope of the likelihood is a cliff, and climbs end on ledges: one more is made at the levels of the start to its
+    end, on a surface that is smooth, and then with free levels.
 
     Args:
         records: The flights as input of the likelihood.
@@ -121,6 +129,14 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
             starts.append(1)
         if number == 0:
             levels = climbed.point.levels
+    if any(map(_is_noiseless, optima)):
+        begin = start_point(records, *STARTS[0], np.tile(start_levels(measured_by(records)), (K, 1)))
+        begin = without_gain(begin, ~free[:K])
+        begin = maximise(records, begin, held_levels, tolerance=SMOOTH, most=60).point
+        climbed = maximise(records, begin, free, tolerance=0.3, most=60)
+        if not _counted(climbed.point, optima, starts):
+            optima.append(climbed)
+            starts.append(1)
     predictions = [prediction_error(flights, records[0].axes, optimum) for optimum in optima]
     found = [CandidateOptimum(o, n, *p) for o, n, p in zip(optima, starts, predictions, strict=True)]
     return _ranked([*found, *_crossed(records, flights, free, found)])
@@ -132,6 +148,12 @@ def _counted(point: Point, optima: Sequence[Optimum], starts: list[int]) -> bool
     if same is not None:
         starts[same] += 1
     return same is not None
+
+
+def _is_noiseless(optimum: Optimum) -> bool:
+    """Whether poses of an axis have no noise at an optimum."""
+    point = optimum.point
+    return bool((point.levels[:, 1] < level_range(point.measured)[1, 0] + NOISELESS).any())
 
 
 def _crossed(
