@@ -1,5 +1,6 @@
 """The page about a tracked flight: what is known, what was raised, how to go on; whatever a log says is escaped."""
 
+import base64
 import json
 import re
 from dataclasses import replace
@@ -15,6 +16,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Regime, Track, Tracked, TrackedAxis
 from rotorfit.reporting import write_timeline
 from rotorfit.reporting.drawing import draw_chart
+from rotorfit.reporting.panels import packed
 from rotorfit.reporting.timeline import timeline_page
 from rotorfit.reporting.views import Chart, Line
 from rotorfit.tracking.flight_so_far import UNRECORDED
@@ -173,3 +175,11 @@ def test_a_value_that_is_told_once_is_seen() -> None:
 
     path = draw_chart(chart, 300, 200).paths[0][1]
     assert path.count("m") == path.count("l16 0") == 2
+
+
+def test_an_end_beyond_what_a_page_can_hold_is_drawn_at_its_edge_and_a_hole_stays_one() -> None:
+    sent = np.frombuffer(base64.b64decode(packed(np.array([1e300, -1e300, np.nan, 2.5]))), "<f4")
+
+    assert sent[0] == -sent[1] == np.finfo(np.float32).max
+    assert np.isnan(sent[2])
+    assert sent[3] == 2.5

@@ -126,9 +126,11 @@ def series(flight: FlightPanels) -> dict[str, Any]:
 
 
 def packed(values: Array) -> str:
-    """Numbers as base64 of little-endian float32.
+    """Numbers as base64 of little-endian float32; what is beyond its range, far outside any chart, as its end.
 
     Args:
         values: Shape (N,).
     """
+    largest = float(np.finfo(np.float32).max)
+    values = np.clip(values, -largest, largest)
     return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
