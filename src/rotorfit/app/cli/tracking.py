@@ -326,8 +326,7 @@ def _replayed(log: str, asked: _Asked, views: "Views") -> tuple["Track", "Flight
     if asked.earlier:
         check_earlier(asked.earlier, flight.card)
     for note in flight.notes:
-        if note.code.startswith("card_"):
-            click.echo(f"{log}: {note.text}", err=True)
+        click.echo(f"{log}: {note.text}", err=True)
     for finding in flight.findings:
         if finding.severity != "info":
             click.echo(finding.line, err=True)
