@@ -226,8 +226,9 @@ class Ground:
 
     def forget(self, before: float) -> None:
         """Drops the intervals that ended before a time [s]."""
-        while self._closed and self._closed[0][1] < before:
-            self._closed.pop(0)
+        for past in (self._closed, self._landed):
+            while past and past[0][1] < before:
+                past.pop(0)
 
     def standing(self, now: float) -> list[tuple[float, float]]:
         """Intervals in which nothing can be learnt, in order, up to now [s]."""

@@ -112,14 +112,15 @@ def _without_poses(flight: Flight, times: set[float]) -> Flight:
 def _in_flight(flight: Flight, landed: Sequence[tuple[float, float]], jumps: Sequence[float]) -> Flight:
     """The flight without the intervals in which it had landed [s], and split where the pose jumped [s].
 
-    No motion leads from before a jump to after it. Other rests stay, as in the fit of a log: it may have hovered.
+    No motion leads from before a jump to after it. Other rests stay, as in the fit of a log: it may have hovered. All
+    of it stays where it had landed before the first command.
     """
     if not landed and not jumps:
         return flight
     parts = parts_without(((part.start, part.end) for part in flight.segments), landed, jumps)
     seen = [part for part in parts if part.end - part.start > SHORTEST]
     notes = [Note("landed", f"{len(landed)} {NOTES['landed']}", len(landed))] if landed else []
-    return replace(flight, segments=tuple(seen), notes=(*flight.notes, *notes))
+    return replace(flight, segments=tuple(seen), notes=(*flight.notes, *notes)) if seen else flight
 
 
 def growing(flight: Flight, begin: float, every: float = EVERY) -> Iterator[tuple[Flight, float]]:
