@@ -7,7 +7,7 @@ import pytest
 
 from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.likelihood import whiten
-from rotorfit.tracking.following import STRONG
+from rotorfit.tracking.change_watch import STRONG
 from rotorfit.tracking.push import odds_of_a_push, push_interval
 from rotorfit.tracking.refits import GroupEstimate, refitted
 from rotorfit.tracking.scores import EXPECTED, Scores, scores_of
