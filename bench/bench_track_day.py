@@ -21,6 +21,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
+import rotorfit.tracking.change_watch as change_watch_module
 import rotorfit.tracking.following as following_module
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import load_card
@@ -103,7 +104,7 @@ def main() -> None:
         refits.append(time.process_time() - begun)
         return found
 
-    following_module.refitted = timed
+    following_module.refitted = change_watch_module.refitted = timed
     tracker, alarms, due = Tracker(load_card("rotorfit-demo"), given.structure, origin=0), 0, TURN
     print("hours  memory MB  look ms  most ms  refits  their s  alarms  x: input  interval  state", flush=True)
     for sample in samples(given.hours, given.rate):

@@ -319,7 +319,7 @@ def test_a_revised_alarm_leaves_an_axis_that_it_does_not_name_as_it_was() -> Non
     flight, following = replace(known_flight(), axes=("z", "yaw")), Following(LAW)
     for part, now in growing(until(flight, 12.5), following.next_look):
         state = following.look(part, now)
-    following._changes.watch.since = dict.fromkeys(("z", "yaw"), 10.0)
+    following._changes.watched.since = dict.fromkeys(("z", "yaw"), 10.0)
     before = following.learnt
     first = Alarm(12.5, ("z", "yaw"), "thrust", (11.0, 12.0), {}, 0.9, 1e-9, "because")
     following.learnt = after_change(before, before, first, 11.5)

@@ -42,7 +42,7 @@ from rotorfit.tracking.instant import changed_when
 from rotorfit.tracking.learnt import Learnt, after_change
 from rotorfit.tracking.refits import believed_laws, refitted
 from rotorfit.tracking.scores import CHUNK, WINDOWS
-from rotorfit.tracking.watch import Watch
+from rotorfit.tracking.watched_time import WatchedTime
 
 GLANCE = 0.25
 """Time between tests [s]."""
@@ -125,11 +125,11 @@ class ChangeWatch:
         false_alarms_per_hour: Promised bound on their expected number [1/h].
 
     Attributes:
-        watch: Since when each axis is tested, and how much of its time.
+        watched: Since when each axis is tested, and how much of its time.
     """
 
     def __init__(self, structure: str, false_alarms_per_hour: float) -> None:
-        self.watch = Watch()
+        self.watched = WatchedTime()
         self._structure, self._false_alarms = structure, false_alarms_per_hour
         self._raised: _Raised | None = None
         self._told: _Raised | None = None  # the alarm that was revised last
@@ -167,20 +167,26 @@ class ChangeWatch:
             return None, learnt
         if self._sinking and now > self._sinking.until + NEW:
             self._sinking = None
-        before = replace(learnt, groups=self._sinking.groups) if self._sinking else learnt
-        back = NEW + (min(now - self._sinking.since, SAGS) if self._sinking else 0.0)
         if raised and now < raised.found + REVISED - 1e-6:
             self._raised = raised
             return None, learnt
         if raised:
             return self._revision(learnt, flight, now, raised)
+        return self._search(learnt, flight, now, lengths, suspected)
+
+    def _search(
+        self, learnt: Learnt, flight: Flight, now: float, lengths: Sequence[float], suspected: float | None
+    ) -> tuple[Alarm | None, Learnt]:
+        """What `test` returns where nothing was found before; `suspected` is since when a change may have come [s]."""
+        before = replace(learnt, groups=self._sinking.groups) if self._sinking else learnt
+        back = NEW + (min(now - self._sinking.since, SAGS) if self._sinking else 0.0)
         if all(now - group.since < (LEAST_CHUNKS - 1) * CHUNK for group in before.groups.values()):
             return None, learnt  # no window has a rest that is long enough
         known = recent_groups(before.groups, flight, now)
         scored = {scores.names: scores for scores in scores_of_groups(known, flight)}
         looked, count = looked_together(list(scored.values()), lengths, back)
         threshold = self._false_alarms * GLANCE / 3600.0 / max(count, 1)
-        self.watch.note(scored, lengths, now, learnt.alarms)
+        self.watched.note(scored, lengths, now, learnt.alarms)
         found = rarest(known, flight, looked, lengths, back, threshold)
         if not found:
             self._raised = self._joined(flight, now) if lengths == WINDOWS else None

@@ -159,7 +159,7 @@ class Following:
         """
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self.learnt.bounds]
         kept = [(start, model and to_mapping(model)) for start, model in self._kept.items()]
-        told = {"kept": kept, "watched": dict(self._changes.watch.since)}
+        told = {"kept": kept, "watched": dict(self._changes.watched.since)}
         told |= self._earlier.memory() if self._earlier else {}
         learnt = self.learnt
         since = {"since": dict(learnt.since), "changed": dict(learnt.changed), "laws": dict(learnt.laws)}
@@ -179,7 +179,7 @@ class Following:
         self._kept = {
             start: model and from_mapping(model, "the state of the tracker") for start, model in memory.get("kept", ())
         }
-        self._changes.watch.since, self._begins = dict(memory.get("watched", {})), memory.get("begins", np.inf)
+        self._changes.watched.since, self._begins = dict(memory.get("watched", {})), memory.get("begins", np.inf)
         if self._earlier:
             self._earlier.recall(memory)
 
@@ -316,14 +316,14 @@ class Following:
         knowledge, state = _knowledge(flight, axis, now, fitted, report)
         if axis in self.learnt.known and knowledge not in ("known", "holding"):
             state = f"{state} (known until {self.learnt.known[axis]:.0f} s, taken back)"
-        structure, watch = fitted.fit.model.axes[axis].structure if fitted else "", self._changes.watch
+        structure, watched = fitted.fit.model.axes[axis].structure if fitted else "", self._changes.watched
         if axis in self.learnt.changed:
             law = self.learnt.laws.get(axis, structure)
             if fitted and axis in fitted.estimates and structure != law:
                 state = f"{state} (law {structure}, before {law})"
             state = f"changed at {self.learnt.changed[axis]:.1f} s, {state}"
-        out = TrackedAxis(knowledge, state, watched=watch.again(self.learnt.alarms).get(axis))
-        if seen := watch.of(axis):
+        out = TrackedAxis(knowledge, state, watched=watched.since_alarms(self.learnt.alarms).get(axis))
+        if seen := watched.of(axis):
             out = replace(out, untested=seen.lately, untested_in_all=seen.untested / seen.rows)
         if fitted and report:
             out = replace(

@@ -9,7 +9,7 @@ sunk, as commanded, to the lowest height so far, or no longer sinks as commanded
 is also found where it is higher than before, or where the height has drifted. Likewise who climbs or sinks since all
 commands became zero may take off or land by itself.
 
-Who stopped at once under a command to sink, and then stands, has landed for sure: no hover ends like that.
+Who stopped at once under a command to sink, and then stands, has landed: a hover is reached more slowly.
 """
 
 from collections import deque
@@ -52,8 +52,8 @@ SANK, HELD_UP, SLOWED, STILL_ASKED = 0.1, 0.15, 0.3, 0.15
 share of its speed before [s], and that share; the age of the last command to sink [s]."""
 
 UNDIMINISHED, THEN = 0.5, 3.0
-"""Share of the strongest command to sink of the window, asked for when it stopped, that no vehicle obeys by stopping at
-once; and how long after that a vehicle that stands has landed [s]."""
+"""Share of the strongest command to sink of the window up to which a later one still asks to sink on; and time after
+the stop within which a vehicle that has landed stands [s]."""
 
 LET_GO = 0.25
 """Time without a non-zero command after which a vehicle that climbs or sinks may do so by itself [s]; twice `SILENT`
@@ -213,10 +213,8 @@ class Ground:
 
     def _undiminished(self, since: float) -> bool:
         """Whether a command from a time [s] on asked to sink about as fast as any of the window."""
-        return any(
-            time >= since and down <= UNDIMINISHED * min(-ASKED, *(one for _, one in self._vertical))
-            for time, down in self._vertical
-        )
+        strongest = min(-ASKED, *(down for _, down in self._vertical))
+        return any(time >= since and down <= UNDIMINISHED * strongest for time, down in self._vertical)
 
     def jumped(self, to: float) -> None:
         """Takes note that the pose jumped, to a height [m]: that of the ground has changed by as much."""

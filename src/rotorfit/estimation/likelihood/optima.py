@@ -110,7 +110,7 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
         free: True for the free parameters, shape (n + L K,).
     """
     K = len(records[0].axes)
-    levels = np.tile(start_levels(measured_by(records)), (K, 1))
+    levels = begin = np.tile(start_levels(measured_by(records)), (K, 1))
     held_levels = free.copy()
     held_levels[-levels.size :] = False
     optima: list[Optimum] = []
@@ -130,10 +130,9 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
         if number == 0:
             levels = climbed.point.levels
     if any(map(_is_noiseless, optima)):
-        begin = start_point(records, *STARTS[0], np.tile(start_levels(measured_by(records)), (K, 1)))
-        begin = without_gain(begin, ~free[:K])
-        begin = maximise(records, begin, held_levels, tolerance=SMOOTH, most=60).point
-        climbed = maximise(records, begin, free, tolerance=0.3, most=60)
+        point = without_gain(start_point(records, *STARTS[0], begin), ~free[:K])
+        point = maximise(records, point, held_levels, tolerance=SMOOTH, most=60).point
+        climbed = maximise(records, point, free, tolerance=0.3, most=60)
         if not _counted(climbed.point, optima, starts):
             optima.append(climbed)
             starts.append(1)

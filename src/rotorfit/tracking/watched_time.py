@@ -11,7 +11,7 @@ from rotorfit.tracking.scores import WINDOWS, Scores
 
 
 @dataclass(frozen=True)
-class Watched:
+class WatchedAxis:
     """What tests have seen of one axis.
 
     Attributes:
@@ -27,7 +27,7 @@ class Watched:
     lately: float = 0.0
 
 
-class Watch:
+class WatchedTime:
     """The axes about which alarms can be raised.
 
     Attributes:
@@ -36,13 +36,13 @@ class Watch:
 
     def __init__(self) -> None:
         self.since: dict[str, float] = {}
-        self._seen: dict[str, Watched] = {}
+        self._seen: dict[str, WatchedAxis] = {}
 
-    def of(self, axis: str) -> Watched | None:
+    def of(self, axis: str) -> WatchedAxis | None:
         """What tests have seen of an axis; None before the first."""
         return self._seen.get(axis)
 
-    def again(self, alarms: Sequence[Alarm]) -> dict[str, float]:
+    def since_alarms(self, alarms: Sequence[Alarm]) -> dict[str, float]:
         """Axis to the time of the first test since its last alarm that could have raised another [s]."""
         raised = {axis: alarm.raised for alarm in alarms for axis in alarm.axes}
         return {axis: time for axis, time in self.since.items() if time > raised.get(axis, 0.0)}
@@ -62,13 +62,14 @@ class Watch:
             now: Its time [s].
             alarms: Those raised so far.
         """
-        watched = self.again(alarms)
+        watched = self.since_alarms(alarms)
         for names, scores in scored.items():
             axes, until = {name.partition(".")[0] for name in names}, float(scores.time[-1])
             untested, rows = scores.untested(until - WINDOWS[-1])
             for axis in axes:
-                before = self._seen.get(axis, Watched())
+                before = self._seen.get(axis, WatchedAxis())
                 new = scores.untested(before.until)
-                self._seen[axis] = Watched(until, before.untested + new[0], before.rows + new[1], untested / rows)
+                counts = before.untested + new[0], before.rows + new[1]
+                self._seen[axis] = WatchedAxis(until, *counts, untested / rows)
             if not axes <= watched.keys() and untested < HARDLY * rows and compares(scores, lengths):
                 self.since = {**self.since, **dict.fromkeys(axes - watched.keys(), now)}
