@@ -20,7 +20,7 @@ from rotorfit.core.results import Fit
 from rotorfit.dynamics.other_limits import scaled
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.judgement.cross_check import with_instruments
-from rotorfit.estimation.judgement.judge import _combination, _within
+from rotorfit.estimation.judgement.judge import _combination, _times, _with_spread, _within
 from rotorfit.estimation.judgement.refutation import Homogeneity, agreement, cuts, estimates_of_parts
 from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
 from rotorfit.estimation.likelihood.estimand import estimands
@@ -179,6 +179,35 @@ def test_flights_in_gusts_tell_the_input_apart_since_each_keeps_the_prior_of_the
         for each in spread.each:
             assert each is not None
             assert abs(each[0] - np.log(TRUTH["first_order_delay_lag"][name])) < 3 * each[1]
+
+
+def test_calm_flights_do_not_drag_the_value_of_the_vehicle_away_from_windy_ones() -> None:
+    """All flights share the levels of the wind, so that calm ones weigh less than alone: no shift corrects that."""
+    gains, winds = (1.0, 0.9, 1.0, 0.9), (0.02, 0.1, 0.02, 0.1)
+    truths = [
+        Truth(gamma=(*GAMMA_B[:4], gain * GAMMA_B[4], *GAMMA_B[5:]), wind_sigma=(0.02, 0.02, wind, 0.01))
+        for gain, wind in zip(gains, winds, strict=True)
+    ]
+    flights = [flown(truth, steps(("z",), seed=70 + i), 30.0, 70 + i) for i, truth in enumerate(truths)]
+    axis = fit_as_flown(flights, axes=("z",)).model.axes["z"]
+    mean, (low, high) = 0.95 * GAMMA_B[4], axis.ci95["input"]
+
+    assert axis.input is not None
+    assert axis.predictor is not None
+    assert low is not None
+    assert high is not None
+    assert axis.input == pytest.approx(axis.predictor.input, rel=0.01)
+    assert low < mean < high
+    assert high / low < 1.2
+
+
+def test_a_measured_spread_adds_to_a_long_tail_what_it_adds_to_a_short_one() -> None:
+    below, above = _with_spread((1.0, 3.0), 2.0)
+
+    assert below == pytest.approx(2.0)
+    assert above == pytest.approx(np.sqrt(12.0))
+    assert _with_spread((None, 1.0), 2.0) == (None, pytest.approx(2.0))
+    assert _times((1.0, 3.0), 2.0) == (2.0, 6.0)
 
 
 def test_flights_that_agree_share_one_narrow_interval() -> None:

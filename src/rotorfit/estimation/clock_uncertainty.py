@@ -145,6 +145,7 @@ def _without_delay(axis: Axis, offset: float | None) -> Axis:
         ci95_flight={**axis.ci95_flight, "delay": (None, None)} if axis.ci95_flight else {},
         status={**axis.status, "delay": "not_identifiable"},
         combinations=kept,
+        spread={name: one for name, one in axis.spread.items() if name not in DELAYS},
         laws=tuple(_law_without_delay(law) for law in axis.laws),
     )
 

@@ -122,8 +122,7 @@ def judged_axis(
     out = {}
     for part, one in wanted.items():
         ends = axis.ci95[part] if part in axis.ci95 else axis.combinations[part].ci95
-        below, above = half_widths(one, ends)
-        own = (_times(below, wider[part]), _times(above, wider[part]))
+        own = _times(half_widths(one, ends), wider[part])
         factor = against.factor[part] if against else 1.0
         law = errors[part] * float(np.sqrt(factor**2 - 1))
         evidence = _evidence(one, errors[part], law, alone.get(part, ()))
@@ -140,14 +139,18 @@ class _Evidence:
 
     Attributes:
         flights: Number of flights that estimate it.
-        error: Standard error of their weighted mean under zero spread.
+        shift: Difference of the vehicle's value from the likelihood's for all flights together, on its scale.
+        added: Variance that the spread adds to that of all flights together, relative to it.
+        added_next: The same for the value on the next flight.
         scale: Scale of the prior on the spread.
         effects: Random effects.
         each: Estimate from each flight of the fit alone; empty for one flight.
     """
 
     flights: int
-    error: float
+    shift: float
+    added: float
+    added_next: float
     scale: float
     effects: RandomEffects
     each: tuple[FlightValue, ...]
@@ -156,6 +159,10 @@ class _Evidence:
 def _evidence(one: Estimand, error: float, law: float, alone: Sequence[FlightValue]) -> _Evidence:
     """Evidence of the flights that estimate a quantity; of all as one where fewer than two do.
 
+    The fit to all flights weighs them by their information, under levels of the disturbance that they share. The more
+    they differ, the less that is right: the vehicle's value moves from it to the mean of the random effects, by the
+    share of the information of all flights that those with a value of their own hold and lose to the spread.
+
     Args:
         one: The quantity.
         error: Standard error of all flights together.
@@ -163,11 +170,15 @@ def _evidence(one: Estimand, error: float, law: float, alone: Sequence[FlightVal
         alone: Estimate from each flight of several.
     """
     known = np.array([value for value in alone if value]).reshape(-1, 2)
+    known -= [one.scaled(), 0.0]
     if len(known) < 2:
         known = np.array([[0.0, error]])
     together = float(1 / np.sqrt(np.sum(known[:, 1] ** -2.0)))
     scale = spread_scale(one.name) * together * float(np.sqrt(len(known)))
-    return _Evidence(len(known), together, scale, random_effects(known[:, 0], known[:, 1], scale, law), tuple(alone))
+    effects = random_effects(known[:, 0], known[:, 1], scale, law)
+    lost = (together**-2 - effects.sd**-2) * min(error, together) ** 2
+    added, added_next = ((sd**2 - together**2) / error**2 for sd in (effects.sd, effects.next_sd))
+    return _Evidence(len(known), lost * effects.mean, added, added_next, scale, effects, tuple(alone))
 
 
 def _judged(one: Estimand, own: Interval, evidence: _Evidence, wider: float, doubtful: float, refuted: bool) -> Judged:
@@ -176,12 +187,11 @@ def _judged(one: Estimand, own: Interval, evidence: _Evidence, wider: float, dou
     The errors of the law do not average out over flights: with more of them the tests detect these errors more surely,
     and their factor grows as the standard error falls.
     """
-    effects = evidence.effects
-    unfit = doubtful**2 - 1
-    ratio = float(np.sqrt((effects.sd / evidence.error) ** 2 + unfit))
-    following = float(np.sqrt((effects.next_sd / evidence.error) ** 2 + unfit))
-    shift = effects.mean - effects.common
-    vehicle = interval(one, shift, (_times(own[0], ratio), _times(own[1], ratio)))
+    effects, shift = evidence.effects, evidence.shift
+    ratio = float(np.sqrt(evidence.added + doubtful**2))
+    following = float(np.sqrt(evidence.added_next + doubtful**2))
+    longer = _times if evidence.flights == 1 else _with_spread
+    vehicle = interval(one, shift, longer(own, ratio))
     spread = Spread(
         source="flights" if evidence.flights > 1 else "prior",
         sd=effects.spread,
@@ -189,11 +199,28 @@ def _judged(one: Estimand, own: Interval, evidence: _Evidence, wider: float, dou
         flights_sd=effects.reml,
         flights=evidence.flights,
         p_value=effects.p_value,
-        next_flight=interval(one, shift, (_times(own[0], following), _times(own[1], following))),
+        next_flight=interval(one, shift, longer(own, following)),
         logarithmic=one.logarithmic,
         each=evidence.each,
     )
     return Judged(one, shift, interval(one, 0.0, own), vehicle, wider * ratio, spread, refuted)
+
+
+def _times(own: Interval, ratio: float) -> Interval:
+    """Half widths, longer by a factor: without a second flight, the spread is expected in units of the error."""
+    below, above = (None if half is None else half * ratio for half in own)
+    return below, above
+
+
+def _with_spread(own: Interval, ratio: float) -> Interval:
+    """Half widths with a measured spread added, by which the shorter one becomes longer by a factor.
+
+    A longer one has a tail of its own, such as another law's, to which the spread adds the same.
+    """
+    shorter = min((half for half in own if half is not None), default=0.0)
+    added = shorter**2 * (ratio**2 - 1)
+    below, above = (None if half is None else float(np.sqrt(half**2 + added)) for half in own)
+    return below, above
 
 
 def _over_laws(judged: Judged, between: BetweenLaws) -> Judged:
@@ -232,10 +259,6 @@ def _each(estimate: Estimate, names: Sequence[str]) -> dict[str, list[FlightValu
             same = good and (not whole[name].logarithmic or told[name].value * whole[name].value > 0)
             out[name].append((told[name].scaled(), float(error)) if same else None)
     return out
-
-
-def _times(half: float | None, factor: float) -> float | None:
-    return None if half is None else half * factor
 
 
 def _axis(axis: Axis, found: Mapping[str, Judged], evidence: tuple[Evidence, ...]) -> Axis:

@@ -55,7 +55,6 @@ class RandomEffects:
 
     Attributes:
         mean: Posterior mean of the vehicle's value mu.
-        common: Weighted mean under zero spread.
         sd: Half width of the 95 % interval of mu, divided by 1.96.
         next_sd: The same for the value on the next flight.
         spread: Posterior median of the spread tau.
@@ -64,7 +63,6 @@ class RandomEffects:
     """
 
     mean: float
-    common: float
     sd: float
     next_sd: float
     spread: float
@@ -91,7 +89,6 @@ def random_effects(value: Array, error: Array, scale: float, law: float = 0.0) -
     alone = len(value) > 1
     return RandomEffects(
         mean=center,
-        common=float(mean[0]),
         sd=mixed_half_width(spread, share) / NORMAL,
         next_sd=mixed_half_width(spread + tau**2, share) / NORMAL,
         spread=max(scale, 1e-12) * float(np.interp(0.5, np.cumsum([0.0, *share]), EDGES)),
