@@ -330,6 +330,18 @@ def test_rows_of_poses_and_of_commands_have_clocks_of_their_own(
     assert flight_from_log(log, card).duration == pytest.approx(T[-1], abs=0.2)
 
 
+def test_series_side_by_side_of_unlike_lengths_have_clocks_of_their_own(tmp_path: Path) -> None:
+    """The longer one fills every row, and only the other has blanks that tell a clock from a measurement."""
+    true, sent = turning(), np.arange(0.01, T[-1], 0.05)
+    columns = {"t_pose": T} | {axis: true[axis] for axis in ("x", "y", "z", "yaw")}
+    short = {"t_cmd": sent} | {f"cmd_{axis}": np.interp(sent, T, COMMAND[axis]) for axis in ("x", "y", "z", "yaw")}
+    columns |= {name: np.concatenate([one, np.full(T.size - sent.size, np.nan)]) for name, one in short.items()}
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert (card.command_time.source, card.pose_time.source) == ("t_cmd", "t_pose")
+
+
 def test_a_name_like_that_of_a_clock_of_commands_is_none_where_every_row_has_a_value() -> None:
     """It may be a thrust, or the time that a computation took."""
     true = turning()

@@ -343,13 +343,16 @@ def clock_of(log: Log, table: Table, count: int, of: str = "") -> Channel | None
         table: The table.
         count: Number of samples.
         of: Name of a column that it is to stamp. A clock of all rows comes before those of one sensor, if it is filled
-            where that column is; of the others the one that begins with the same words, as `pose.time` beside `pose.x`.
+            where that column is; of the others the one that is blank in the same rows, as `t_cmd` beside `u_x`, or
+            begins with the same words, as `pose.time` beside `pose.x`.
     """
 
-    def rank(name: str) -> tuple[bool, bool, int]:
+    def rank(name: str) -> tuple[bool, bool, int, int]:
         plain = plain_name(name)
+        of_rows = _CLOCK_OF_ROWS.fullmatch(plain) is not None
         own = _CLOCK_OF_SOMETHING.fullmatch(plain) and plain not in _CLOCKS and not plain.endswith("header_stamp")
-        return not _stamps(table, name, of), bool(own), -_words_shared(name, of)
+        unlike = _unlike(table, name, of) if of_rows else 0
+        return not _stamps(table, name, of), bool(own) or of_rows, unlike, -_words_shared(name, of)
 
     names = sorted(clocks_of(table, count), key=rank)
     if not names:
@@ -389,14 +392,15 @@ def clocks_of(table: Table, count: int) -> list[str]:
 def clocks(table: Table) -> dict[str, int]:
     """Columns that are named like clocks, or like those of something, and advance; the likeliest first.
 
-    Names as `t_cmd`, which may be a thrust, are clocks only where they are blank in some rows and never go back. Where
-    there is no clock, those that count ms, us or ns, or hold dates.
+    Names as `t_cmd`, which may be a thrust, are clocks only where they never go back and one of them is blank in some
+    rows. Where there is no clock, those that count ms, us or ns, or hold dates.
     """
     plain = {name: name_without_unit(name) for name, values in table.columns.items() if is_series(values)}
     names = {one: name for name, one in plain.items()}
     likely = [names[clock] for clock in _CLOCKS if clock in names]
     likely += [name for name, one in plain.items() if _CLOCK_OF_SOMETHING.fullmatch(one) and name not in likely]
-    likely += [name for name, one in plain.items() if _CLOCK_OF_ROWS.fullmatch(one) and _stamps_rows(table, name)]
+    of_rows = [name for name, one in plain.items() if _CLOCK_OF_ROWS.fullmatch(one) and _never_goes_back(table, name)]
+    likely += of_rows if any(_has_blanks(table, name) for name in of_rows) else []
     if not likely:
         likely = [name for name in plain if _counts_time(table, name) or _holds_dates(table, name)]
     return {name: table.columns[name].size for name in likely if _advances(table.columns[name].ravel().astype(float))}
@@ -415,9 +419,8 @@ def _holds_dates(table: Table, name: str) -> bool:
     return bool(SINCE_1970[0] < np.min(values) / 1e9 and np.max(values) / 1e9 < SINCE_1970[1])
 
 
-def _stamps_rows(table: Table, name: str) -> bool:
-    """Whether a column has no value in some rows, and never goes back."""
-    return not np.all(np.isfinite(table.columns[name].astype(float))) and _never_goes_back(table, name)
+def _has_blanks(table: Table, name: str) -> bool:
+    return not np.all(np.isfinite(table.columns[name].astype(float)))
 
 
 def _never_goes_back(table: Table, name: str) -> bool:
@@ -436,6 +439,14 @@ def _stamps(table: Table, clock: str, name: str) -> bool:
         return True
     filled = np.isfinite(values.ravel())
     return bool(np.sum(np.isfinite(stamps) & filled) >= 0.5 * np.sum(filled))
+
+
+def _unlike(table: Table, clock: str, name: str) -> int:
+    """Number of rows in which a clock has a value and a column has none, or the reverse."""
+    stamps, values = table.columns[clock].ravel(), table.columns.get(name)
+    if values is None or values.size != stamps.size:
+        return 0
+    return int(np.sum(np.isfinite(stamps) != np.isfinite(values.ravel())))
 
 
 def _words_shared(one: str, other: str) -> int:
