@@ -128,6 +128,17 @@ def test_a_card_that_was_asked_for_must_fit() -> None:
         survey(message_log(), load_card("bebop2"))
 
 
+def test_rows_without_a_stamp_start_no_stream(tmp_path: Path) -> None:
+    log = csv_log()
+    log.tables["flight"].columns["time"][[0, 700]] = np.nan
+
+    found = survey(log, loaded(draft_card(csv_log()), tmp_path)).flight
+
+    assert found is not None
+    assert found.clocks.start_offset == 0.0
+    assert found.clocks.overlap == pytest.approx(29.96)
+
+
 def test_the_flight_of_a_fitting_card_is_surveyed(tmp_path: Path) -> None:
     log = message_log()
     found = survey(log, loaded(draft_card(log), tmp_path)).flight

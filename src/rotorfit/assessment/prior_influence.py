@@ -72,7 +72,7 @@ def prior_findings(fit: Fit) -> Iterator[Finding]:
                 f"the card expects {name} of {axis} at {use.mean:.3g} +- {use.sd:.2g}, the flight alone says "
                 f"{use.data:.3g}: {use.conflict:.1f} combined standard errors apart",
                 f"the {name} of {axis} lies between the two, and its interval may hold neither",
-                "leave --prior out, or correct [prior] in the card: other limits, another vehicle, another unit?",
+                "leave --prior out, or correct [prior] in the card: it may be of other limits, vehicles or units",
                 axis,
             )
 

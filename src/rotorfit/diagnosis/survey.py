@@ -316,12 +316,18 @@ def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
         pose=rate(pose),
         fresh=rate(np.round(flight.pose_time * 1e9).astype(np.int64)),
         stale_share=stale / len(pose),
-        clocks=relation(command[in_time(command)], pose[in_time(pose)]),
+        clocks=relation(_ordered(command), _ordered(pose)),
         recorder={name: value for name, value in recorder.items() if value is not None},
         axes=excitation(flight),
         notes=flight.notes,
         findings=findings_of_flight(log, flight),
     )
+
+
+def _ordered(stamps: Stamps) -> Stamps:
+    """The stamps that were recorded, increasing."""
+    there = stamps[stamps != MISSING_STAMP]
+    return there[in_time(there)]
 
 
 def _sound(stamps: Stamps) -> Stamps:

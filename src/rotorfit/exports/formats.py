@@ -120,7 +120,7 @@ FORMATS: Mapping[str, Format] = {
         ".yaml",
         "ROS 2 parameters, with K as drone_dev takes it",
         "ros2.yaml.j2",
-        "Parameters for ROS 2, to be loaded by --params-file.",
+        "Parameters of a ROS 2 node, to be loaded as a parameter file.",
     ),
     "rotorpy": Format(
         ".py",

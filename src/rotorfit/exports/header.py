@@ -56,7 +56,7 @@ def header(
         "Commands:",
         *(_row(axis, _command(subject, axis)) for axis in subject.axes),
         "",
-        "Coefficients as estimated, with 95 % intervals, per command of the model file:",
+        "Coefficients of the fit, with 95 % intervals of the vehicle, per command of the model file:",
         *(line for axis in subject.axes for line in _coefficients(axis, subject.original.axes[axis])),
         *(line for said in _of_stamps(subject.original.findings) for line in _wrapped(said, "  ")),
         "",

@@ -177,8 +177,8 @@ def _evidence(one: Estimand, error: float, law: float, alone: Sequence[FlightVal
     scale = spread_scale(one.name) * together * float(np.sqrt(len(known)))
     effects = random_effects(known[:, 0], known[:, 1], scale, law)
     lost = (together**-2 - effects.sd**-2) * min(error, together) ** 2
-    added, added_next = ((sd**2 - together**2) / error**2 for sd in (effects.sd, effects.next_sd))
-    return _Evidence(len(known), lost * effects.mean, added, added_next, scale, effects, tuple(alone))
+    added, added_next = (float((sd**2 - together**2) / error**2) for sd in (effects.sd, effects.next_sd))
+    return _Evidence(len(known), float(lost * effects.mean), added, added_next, scale, effects, tuple(alone))
 
 
 def _judged(one: Estimand, own: Interval, evidence: _Evidence, wider: float, doubtful: float, refuted: bool) -> Judged:
