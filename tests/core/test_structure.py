@@ -151,9 +151,9 @@ DEFAULT = ("first_order_delay", "first_order_delay_lag", "second_order_zero")
     [pytest.param(name, marks=() if name in DEFAULT else pytest.mark.slow) for name in TRUTH if name != "coupled"],
 )
 def test_in_wind_and_noise_the_intervals_hold_the_truth(name: str) -> None:
-    axis = fit([flown_by(name, duration=60.0, seed=4, wind=0.1, noise=0.001)], axes=("z",), structure=name).model.axes[
-        "z"
-    ]
+    wind = 0.05 if name == "limited_acceleration" else 0.1  # stronger gusts reach the limit: it is left out
+    flight = flown_by(name, duration=60.0, seed=4, wind=wind, noise=0.001)
+    axis = fit([flight], axes=("z",), structure=name).model.axes["z"]
 
     assert axis.structure == name
     missed = [parameter for parameter, value in TRUTH[name].items() if not inside(axis, parameter, value)]

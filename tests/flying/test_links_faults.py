@@ -36,7 +36,7 @@ LINKS = ("mavlink", "tello", "ros1")
 def flying(
     folder: Path, kind: str, *options: str, line: "Line | None" = None, own: dict[str, str] | None = None, **peers: str
 ) -> Iterator[tuple["subprocess.Popen[str]", ...]]:
-    """The process of a flight at 50 commands a second, and that of its vehicle, after three seconds of commands.
+    """The process of a flight at 50 commands a second, and that of its vehicle, four seconds into the recording.
 
     Args:
         folder: For the recording `flight.mcap` and the commands as they arrived, `arrivals.json`.
@@ -68,7 +68,7 @@ def flying(
             deadline = time.monotonic() + 60
             while not log.exists() and time.monotonic() < deadline and flight.poll() is None:
                 time.sleep(0.05)
-            time.sleep(3.0)
+            time.sleep(4.0)  # a recording of less than two seconds of moving poses is refused
             assert flight.poll() is None, flight.communicate()
             yield flight, peer
         finally:
