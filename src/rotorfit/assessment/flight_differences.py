@@ -73,8 +73,8 @@ def disagreement_findings(fit: Fit) -> Iterator[Finding]:
             f"{quantity.replace('_', ' ')} lies in {_ends(spread)}",
             cause
             or (WITHIN_ONE if flown else "")
-            + "compare the settings, payload, battery and wind of the flights that stand out; what cannot be explained "
-            "is in the intervals",
+            + "compare settings, units, payload, battery and wind of the flights that stand out, which may be another "
+            "vehicle's; what cannot be explained is in the intervals",
             name,
         )
 
@@ -273,7 +273,7 @@ def _unlike(one: Conditions, others: list[Conditions]) -> str:
         ratios[part] = getattr(one, part) / middle if middle > 0 else 1.0
     ranked = sorted(ratios, key=lambda part: -abs(np.log(max(ratios[part], 1e-9))))
     said = [
-        f"{_WORDS[part][ratios[part] < 1]} ({ratios[part]:.1f} times)"
+        f"{_WORDS[part][ratios[part] < 1]} ({ratios[part]:.2g} times)"
         for part in ranked
         if not 1 / UNLIKE < ratios[part] < UNLIKE
     ]
