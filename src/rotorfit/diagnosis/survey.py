@@ -327,7 +327,7 @@ def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
 def _ordered(stamps: Stamps) -> Stamps:
     """The stamps that were recorded, increasing."""
     there = stamps[stamps != MISSING_STAMP]
-    return there[in_time(there)]
+    return np.asarray(there[in_time(there)])
 
 
 def _sound(stamps: Stamps) -> Stamps:
