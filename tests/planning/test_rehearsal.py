@@ -14,10 +14,13 @@ from rotorfit.estimation.likelihood.block_response import response
 from rotorfit.estimation.likelihood.blocks import record
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.files.cards import load_card
+from rotorfit.flying.guard import limits_of
+from rotorfit.flying.preflight import _rehearsed
 from rotorfit.planning.belief import Belief, belief_from_card, belief_mapping, levels_of
 from rotorfit.planning.envelope import (
     DRAWS,
     LIMITS,
+    braking_amplitude,
     fleet_of,
     largest_amplitude,
     largest_amplitudes,
@@ -303,6 +306,23 @@ def test_each_axis_shrinks_only_for_its_own_side() -> None:
     factors = largest_amplitudes(plan, fleet(plan, draws=30))
     assert factors["x"] == pytest.approx(1.0, abs=0.1)
     assert 0.0 < factors["y"] < 0.7
+
+
+def test_a_plan_stays_where_the_guard_lets_it_fly() -> None:
+    """A vehicle that turns just before the floor is inside, but the guard would have stopped it."""
+    low = replace(ROOM, lower=(-2.7, -1.7, 1.2), upper=(2.7, 1.7, 2.0))
+    plan = plan_of("z", size=1.0, space=low)
+    vehicles = fleet(plan, draws=40)
+    plan = with_amplitudes(plan, largest_amplitudes(plan, vehicles))
+    assert predicted_path(plan, vehicles).fits
+    assert not _rehearsed(plan, limits_of(plan))[0].ok
+
+    slower = braking_amplitude(plan, vehicles)
+
+    kept = with_amplitudes(plan, {"z": slower})
+    assert 0.5 < slower < 1.0
+    assert _rehearsed(kept, limits_of(kept))[0].ok
+    assert braking_amplitude(kept, vehicles) == 1.0
 
 
 def test_speed_limits_are_limits() -> None:

@@ -27,32 +27,18 @@ from typing import Literal
 
 from rotorfit.core.flight_plan import Four, Plan
 from rotorfit.core.frames import AXES
-from rotorfit.core.limits import GRAVITY, meaning_of
+from rotorfit.core.limits import meaning_of
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.planning.plan_control import Tracker, full_scale
-from rotorfit.planning.stopping import SERVO, SHARE, stopping
-
-Three = tuple[float, float, float]
+from rotorfit.planning.stopping import FILTER, SERVO, SHARE, UNKNOWN_DELAY, Three, braking_of
 
 Code = Literal[
     "fence", "speed", "climb", "pose_lost", "link_lost", "pose_frozen", "pose_jumps", "battery", "too_long", "starved"
 ]
 
-UNKNOWN_DELAY = 0.3
-"""Delay of a command without a belief [s]."""
-
-UNKNOWN_TILT = math.radians(10)
-"""Largest tilt if the card gives none [rad]."""
-
-UNKNOWN_DAMPING = 1.5
-"""Damping of a velocity loop without a belief [1/s]."""
-
 SPARE = 120.0
 """How much longer than its plan a flight may last, for the approach [s]."""
-
-FILTER = 0.1
-"""Time constant of the guard's velocity [s]."""
 
 JUMP, TURN = 0.2, 0.6
 """Largest deviation of a pose from its prediction [m, rad], beyond what the vehicle can do in the meantime."""
@@ -147,29 +133,11 @@ class GuardVerdict:
 def limits_of(plan: Plan) -> Limits:
     """The limits of a plan, with the braking to be expected from its belief, or else from its card.
 
-    A vehicle that has turned may brake along the world's x as it does along its own y: the weaker counts for both.
-
     Raises:
         CardError: The plan's card is wrong.
     """
-    stops = [_stop(plan, axis) for axis in AXES[:3]]
     space = plan.space
-    flat, upright = (max(late for late, _ in each) + FILTER for each in (stops[:2], stops[2:]))
-    brakes, climbs = (min(deceleration for _, deceleration in each) for each in (stops[:2], stops[2:]))
-    late, braking = (flat, flat, upright), (brakes, brakes, climbs)
-    return Limits(space.lower, space.upper, space.speed, space.climb, late, braking, plan.duration + SPARE)
-
-
-def _stop(plan: Plan, axis: str) -> tuple[float, float]:
-    """Reaction time [s] and deceleration [m/s^2] along an axis."""
-    card, place = card_from_mapping(plan.card, f"of plan {plan.name}"), AXES.index(axis)
-    delay = float(plan.belief["delay"][place]) if "delay" in plan.belief else UNKNOWN_DELAY
-    if "gamma" in plan.belief:
-        gain, damping = (float(number) for number in plan.belief["gamma"][2 * place : 2 * place + 2])
-        return stopping(gain, damping, delay, full_scale(card, axis))
-    if meaning_of(card, axis).asked == "tilt":
-        return delay, SHARE * GRAVITY * math.tan(card.limits.get("tilt", UNKNOWN_TILT))
-    return delay + 1 / UNKNOWN_DAMPING, math.inf
+    return Limits(space.lower, space.upper, space.speed, space.climb, *braking_of(plan), plan.duration + SPARE)
 
 
 def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]:

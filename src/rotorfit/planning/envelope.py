@@ -18,6 +18,7 @@ from rotorfit.planning.belief import Belief, sample_vehicles
 from rotorfit.planning.plan_control import Tracker, tracker_of
 from rotorfit.planning.precision import draw_path, fly_draws, path
 from rotorfit.planning.signals import scaled
+from rotorfit.planning.stopping import braking_of
 from rotorfit.simulation.paper_vehicle import Draw, SimulatedFlight, noise_free
 
 DRAWS = 50
@@ -283,6 +284,28 @@ def judged_amplitude(plan: Plan, judges: Sequence[Draw]) -> float:
         if trial.fits(with_amplitudes(plan, dict.fromkeys(AXES, float(factor)))):
             return float(factor)
     return _largest_common(plan, trial, float(factor), None)
+
+
+def braking_amplitude(plan: Plan, judges: Sequence[Draw]) -> float:
+    """The largest factor up to 1, in steps of `SHRUNK`, with which the guard stops no more judges than may leave.
+
+    The guard ends a flight where braking would lead out of the box. Where no factor helps, as beside a wall, it is 1,
+    and the preflight check says why the plan is not flown.
+    """
+    reaction, deceleration = np.array(braking_of(plan))
+    for factor in SHRUNK ** np.arange(20):
+        tracker = tracker_of(with_amplitudes(plan, dict.fromkeys(AXES, float(factor))))
+        stopped = [_stopped(tracker.plan, flight, reaction, deceleration) for flight in fly_draws(tracker, judges)]
+        if not stopped[0] and np.mean(stopped[1:]) <= ALLOWED:
+            return float(factor)
+    return 1.0
+
+
+def _stopped(plan: Plan, flight: SimulatedFlight, reaction: Array, deceleration: Array) -> bool:
+    """Whether braking would lead out of the box somewhere."""
+    speed = flight.velocity[:, :3]
+    rest = path(plan, flight)[:, :3] + speed * reaction + speed * np.abs(speed) / (2 * deceleration)
+    return not bool(np.all((rest >= plan.space.lower) & (rest <= plan.space.upper)))
 
 
 def _largest_common(

@@ -16,6 +16,7 @@ from rotorfit.planning.belief import Belief, belief_from_mapping, belief_mapping
 from rotorfit.planning.envelope import (
     ALLOWED,
     Envelope,
+    braking_amplitude,
     fleet_of,
     judged_amplitude,
     judges_of,
@@ -277,6 +278,8 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
         factors = largest_amplitudes(plan, wanted.fleets.search, progress=progress)
         common = judged_amplitude(with_amplitudes(plan, factors), wanted.fleets.judges)
         factors = {axis: common * factor for axis, factor in factors.items()}
+        slower = braking_amplitude(with_amplitudes(plan, factors), wanted.fleets.judges)
+        factors = {axis: slower * factor for axis, factor in factors.items()}
     return _Choice(with_amplitudes(plan, factors), factors)
 
 
