@@ -17,6 +17,7 @@ from rotorfit.app.terminal.outlook import plan_view
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Plan, Sines, command_at
 from rotorfit.core.frames import AXES
+from rotorfit.core.model import Source
 from rotorfit.diagnosis.doctor import SHORT_TIME
 from rotorfit.files.cards import load_card
 from rotorfit.files.models import save
@@ -25,7 +26,8 @@ from rotorfit.planning.belief import belief_from_card, belief_from_model
 from rotorfit.planning.envelope import ALLOWED, JUDGES, fleet_of, predicted_path
 from rotorfit.planning.next_flight import next_flight, wanted_errors, worst_group
 from rotorfit.planning.plan_flight import IDENT, band_of, full_amplitude, plan_flight, plan_flights
-from rotorfit.planning.request import space_of_box, space_of_room
+from rotorfit.planning.request import Request, space_of_box, space_of_room
+from rotorfit.planning.request import planned as plans_of
 from rotorfit.planning.signals import paper_sines
 
 pytestmark = pytest.mark.flights
@@ -342,6 +344,13 @@ def test_after_a_model_the_next_flight_is_shown_before_and_after(tmp_path: Path)
         planned("--after", tmp_path / "model.json", "--duration", 12, "--design", "3211", "--axes", "z", "--json")
     )
     assert result["next"]["after"]["z"]["input"] < result["next"]["before"]["z"]["input"]
+
+
+def test_a_model_of_commands_in_per_cent_is_asked_for_its_full_command() -> None:
+    model = model_of(card=CARD)
+    source = Source("sticks.csv", "0" * 64, (0.0, 60.0), axes=("x",), commanded={"x": 46.0})
+    with pytest.raises(PlanError, match=r"commanded x up to 46, while a full command is 1 .* `scale = 0.01`"):
+        plans_of(Request(after=replace(model, flights=(source,))))
 
 
 @pytest.mark.parametrize(

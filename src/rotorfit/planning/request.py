@@ -20,6 +20,7 @@ from rotorfit.files.models import load
 from rotorfit.files.plans import WIDEST, plan_from_mapping, plan_mapping
 from rotorfit.planning.belief import Belief, belief_from_card, belief_from_model
 from rotorfit.planning.next_flight import NextFlight, next_flight
+from rotorfit.planning.plan_control import full_scale
 from rotorfit.planning.plan_flight import TOGETHER, plan_flight, plan_flights
 from rotorfit.simulation.vehicle import load_vehicle
 
@@ -81,6 +82,10 @@ def _space(
 
 DESIGN = "multisine"
 """Default design: gentle, and never far from the best of the designs with a fixed form."""
+
+
+BEYOND = 2.0
+"""Ratio of commands to the full one from which on the card has another unit in mind than the flights."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +175,21 @@ def _believed(request: Request) -> tuple[Card, Belief, tuple[str, ...]]:
         model, where = request.after, "a model in memory"
     else:
         model, where = load(str(request.after)), str(request.after)
+    _check_full_commands(model, where)
     return model.card, belief_from_model(model, where), frozen_axes(model.findings)
+
+
+def _check_full_commands(model: Model, where: str) -> None:
+    """Refuses a model whose flights commanded far more than the full command that its card leaves a plan to assume."""
+    for axis in AXES:
+        flown = max((source.commanded.get(axis, 0.0) for source in model.flights), default=0.0)
+        full = full_scale(model.card, axis)
+        if flown > BEYOND * full:
+            raise PlanError(
+                f"{where}: its flights commanded {axis} up to {flown:.3g}, while a full command is {full:g} by card "
+                f"{model.card.name}: state commands as fractions of the full one, such as `scale = 0.01` for per cent, "
+                "or their unit and [limits], and fit again"
+            )
 
 
 def _card(name: str) -> Card:
