@@ -330,6 +330,18 @@ def test_rows_of_poses_and_of_commands_have_clocks_of_their_own(
     assert flight_from_log(log, card).duration == pytest.approx(T[-1], abs=0.2)
 
 
+def test_commands_named_right_down_and_cw_are_turned(tmp_path: Path) -> None:
+    still = {axis: np.zeros(T.size) for axis in ("x", "y", "z", "yaw")}  # no motion tells a sign
+    sticks = {"cmd_fwd": COMMAND["x"], "cmd_right": COMMAND["y"], "cmd_down": COMMAND["z"], "cmd_cw": COMMAND["yaw"]}
+
+    card = loaded(draft_card(log_of(flight={"time": T} | still | sticks)), tmp_path)
+
+    assert {axis: card.command[axis].source for axis in card.command} == dict(
+        zip(("x", "y", "z", "yaw"), sticks, strict=True)
+    )
+    assert [card.command[axis].scale for axis in ("x", "y", "z", "yaw")] == [1.0, -1.0, -1.0, -1.0]
+
+
 def test_series_side_by_side_of_unlike_lengths_have_clocks_of_their_own(tmp_path: Path) -> None:
     """The longer one fills every row, and only the other has blanks that tell a clock from a measurement."""
     true, sent = turning(), np.arange(0.01, T[-1], 0.05)

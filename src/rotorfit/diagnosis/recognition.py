@@ -60,7 +60,7 @@ _TURN_RATE = f"{_TURN}|r|w|wz|ang_?z|angular_z|omega_?z"
 _FORWARD, _LEFT, _UP = (
     "lin_?x|linear_x|vf|pitch|theta|forward|fwd|ele(?:vator)?",
     "lin_?y|linear_y|vl|roll|phi|left|right|ail(?:eron)?",
-    "lin_?z|linear_z|ve|climb|up|throttle|thrust|thr|gaz",
+    "lin_?z|linear_z|ve|climb|up|down|throttle|thrust|thr|gaz",
 )
 
 _WORLD_UP = "climb(?:_?rate)?|(?:v_?|vel_)?(?:up|down)|v_?[ud]"
@@ -76,7 +76,7 @@ _STICKS = {
 _CHANNEL = r"(?:rc_?|ch(?:an(?:nel)?)?_?\d_)"
 
 _WORDS = (
-    {"x": "forward|fwd", "y": "left|right", "z": "up|climb", "yaw": "turn|rotate|c?cw|yaw_rate"},
+    {"x": "forward|fwd", "y": "left|right", "z": "up|down|climb", "yaw": "turn|rotate|c?cw|yaw_rate"},
     {
         "x": f"{_CHANNEL}?(?:pitch|ele(?:vator)?)",
         "y": f"{_CHANNEL}?(?:roll|ail(?:eron)?)",
@@ -156,7 +156,7 @@ class Recognised:
 def commands_in(log: Log) -> Recognised:
     """Axis to column of the commands, by name; z is a stray where x and y are named velocities, and it is not.
 
-    Beside `gaz` they have the signs of Parrot's SDKs; one named `right` is turned.
+    Beside `gaz` they have the signs of Parrot's SDKs; those named `right`, `down` and `cw` are turned.
     """
     found = _recognised(log, _commands)
     names = {axis: plain_name(str(channel.source).rpartition(":")[2]) for axis, channel in found.channels.items()}
@@ -165,10 +165,15 @@ def commands_in(log: Log) -> Recognised:
             axis: replace(found.channels[axis], scale=-1) for axis in names if re.search(_PARROT_TURNED, names[axis])
         }
         return replace(found, channels={**found.channels, **turned})
-    if re.search(r"(?:^|_)right(?:_|$)", names.get("y", "")) and "left" not in names["y"]:
-        found = replace(found, channels={**found.channels, "y": replace(found.channels["y"], scale=-1)})
-    if is_of_the_world(found) and re.search(r"(?:^|_)(?:v_?d|down)(?:_|$)", names.get("z", "")):
-        return replace(found, channels={**found.channels, "z": replace(found.channels["z"], scale=-1)})
+    backward = {"y": "right", "z": "v_?d|down" if is_of_the_world(found) else "down", "yaw": "cw"}
+    turned = {
+        axis: replace(found.channels[axis], scale=-1)
+        for axis, word in backward.items()
+        if re.search(rf"(?:^|_)(?:{word})(?:_|$)", names.get(axis, "")) and not re.search("left|up|ccw", names[axis])
+    }
+    found = replace(found, channels={**found.channels, **turned})
+    if "z" in turned and is_of_the_world(found):
+        return found
     fast = {axis for axis, name in names.items() if re.search(rf"v(?:el)?_?{axis}(?:_|$)", name)}
     height = {"x", "y"} <= fast and "z" not in fast and re.search(r"(?:^|_)z(?:_|$)", names.get("z", ""))
     return replace(found, strays=("z",)) if height else found
