@@ -29,7 +29,7 @@ from changing_flights import Scenario, changing_flight, piloted_flight
 from designs import designs
 from designs import flown as flown_design
 from rotorfit.core.flight_data import Flight
-from rotorfit.tracking import changes, following
+from rotorfit.tracking import change_watch, changes, following
 from rotorfit.tracking.replayed import tracked
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -112,7 +112,7 @@ class Looks:
 
 def watched(flight: Flight, structure: str, rate: float) -> tuple[list[dict], list]:
     """What was seen at each look of a flight, and its alarms."""
-    watch = following.looked_together = Looks()
+    watch = change_watch.looked_together = Looks()
     alarms = tracked(flight, structure, rate).alarms
     return [one for one in watch.seen if one["looks"]], list(alarms)
 

@@ -1,5 +1,6 @@
 """The test for a change: silent in noise of any colour, and found where coefficients move; then the room's changes."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -22,9 +23,9 @@ from rotorfit.tracking.changes import (
 )
 from rotorfit.tracking.following import SHORT, Following
 from rotorfit.tracking.instant import changed_when
-from rotorfit.tracking.refits import refitted
-from rotorfit.tracking.replayed import growing
-from rotorfit.tracking.scores import FADES, GUST_POWERS, Scores, scores_of
+from rotorfit.tracking.refits import applied, refitted
+from rotorfit.tracking.replayed import growing, until
+from rotorfit.tracking.scores import FADES, GUST_POWERS, WINDOWS, Scores, scores_of
 from tracked_flights import LAW, alarms, changing_flight, known_flight, of_a_pilot
 
 pytestmark = pytest.mark.flights
@@ -111,6 +112,49 @@ def test_a_push_is_as_rare_as_under_the_strengths_that_the_air_allows(scores: Sc
     assert calm < 1e-6 * doubtful < 1e-6 * strong
     assert pushes(scores.names, one)
     assert not pushes(scores.names, replace(one, shift=np.where(np.arange(one.shift.size) == trim, 0.0, 1.0)))
+
+
+FRONT = 24.0
+"""When the wind comes up, or the height is pushed [s]."""
+
+
+@functools.cache
+def seen_after(wind: float, push: float, after: float) -> tuple[float, float]:
+    """The least p-value of x and y, and that of a push of z in any air, some time after `FRONT` [s].
+
+    Args:
+        wind: Acceleration of x by wind that comes up within half a second; half as much of y, gusts besides [m/s^2].
+        push: First acceleration of z, which fades [m/s^2].
+        after: The time [s].
+    """
+    flight, rng = known_flight(), np.random.default_rng(1)
+    learnt = [refitted(until(flight, FRONT), axes, LAW, FRONT) for axes in (("x", "y"), ("z",))]
+    t, gust, velocity, moved = flight.pose_time, np.zeros(2), np.zeros(3), np.zeros_like(flight.position)
+    for i, h in enumerate(np.diff(t), 1):
+        gust += -h * gust + np.sqrt(2 * h) * rng.standard_normal(2)
+        risen = wind * np.clip((t[i] - FRONT) / 0.5, 0, 1) * (1 + 0.6 * gust) * (1.0, 0.5)
+        pushed = push * np.exp(-(t[i] - FRONT) / FADES) * (t[i] >= FRONT)
+        velocity += h * (np.append(risen, pushed) - (0.2, 0.2, 2.0) * velocity)
+        moved[i] = moved[i - 1] + h * velocity
+    flight = until(replace(flight, position=flight.position + moved), FRONT + after)
+    parts = [(list(applied(one, flight).estimates.items()), {}) for one in learnt]
+    level, height = scores_of(parts)
+    under = [scores_of(parts, gusts=k) for k in range(1 + len(GUST_POWERS))]
+    found = looked_together([level, height])[0][level.names]
+    return min((one.p_value for one in found), default=1.0), in_any_air(height.names, under, WINDOWS)
+
+
+@pytest.mark.parametrize("after", [0.75, 1.0])
+def test_wind_that_comes_up_at_once_is_no_change_and_may_push_the_height(after: float) -> None:
+    """The strength of its gusts is heard in a window of x and y, and by z, before three calm seconds have passed."""
+    level, height = seen_after(0.8, 0.6, after)
+
+    assert level > 1e-3
+    assert height > 1e-4
+
+
+def test_a_push_in_calm_air_is_a_change() -> None:
+    assert seen_after(0.0, 0.6, 0.75)[1] < 1e-9
 
 
 def test_an_answer_to_first_commands_is_no_jolt_but_a_jolt_before_any_command_is(scores: Scores) -> None:

@@ -13,6 +13,13 @@ empirical variance of the regime's scores, from their sums over `CHUNK`: gusts, 
 law make that variance larger than the likelihood assumes, and alarms rarer. The variance by which the refit's tests of
 the law found a coefficient to depend on command size, speed or method is added.
 
+Wind that comes up at once pushes x and y within the window, where one trim does not follow it. With l_k the likelihood
+of a short window of x and y without a shift under strength k of gusts, and j the strength that is likeliest with one,
+
+    T < 2 (max_k l_k - l_j)
+
+says that stronger gusts explain it better than other coefficients do; it is then no contrast.
+
 False alarms: each look has a p-value, and an alarm is raised below (false alarms per hour) / (looks per hour). The
 expected number of false alarms per hour is then at most the number asked for, however the looks depend on each other,
 because expectations add (Boole's inequality); the bound is as good as the p-values.
@@ -32,7 +39,7 @@ from scipy.special import fdtrc
 
 from rotorfit.core.frames import AXES, Array, Indices
 from rotorfit.tracking.instant import FLAT, instants_of, less_what_is_unknown, now_of
-from rotorfit.tracking.scores import CHUNK, FADES, LASTS, WINDOWS, Scores
+from rotorfit.tracking.scores import CHUNK, FADES, LASTS, LEAST_GUST_TIME, WINDOWS, Scores
 
 UNLIKELY = 1e-3
 """A contrast is dropped early if its p-value exceeds this even under white innovations."""
@@ -41,10 +48,10 @@ VISIBLE = 1.0
 """Information about a direction above which a window determines it, in units of the expected changes."""
 
 OWN_GUSTS = 2.4
-"""Shortest window that determines the strength of its own gusts [s]: in a shorter one a push may come from a gust or
-from the vehicle, and the other seconds and axes decide; it is tested along the directions of typical changes only,
-because several directions together fit a single gust. For z and yaw, which both can push, they set the least strength
-in longer windows too."""
+"""Shortest window of z or yaw that determines the strength of its own gusts [s]: in a shorter one a push may come from
+a gust or from the vehicle, and the other seconds and axes decide, which set the least strength in longer windows too.
+Of all axes a shorter one is tested along the directions of typical changes only, because several directions together
+fit a single gust."""
 
 LEAST_CHUNKS = 12
 """Fewest chunks in the rest of a regime for its variance to be known; with fewer nothing is tested."""
@@ -65,6 +72,9 @@ the regime, in standard errors; largest mean squared innovation after the change
 
 SURE = 1e-10
 """p-value below which no calm is required after a change."""
+
+HEARD = 0.25
+"""Distance of the instants at which x and y may have changed while z or yaw is pushed [s]."""
 
 CORRELATED = 0.5
 """Power to which the likelihood of a strength of gusts is taken: innovations in rising gusts are correlated."""
@@ -164,6 +174,7 @@ class _Compared:
         at: Its first row.
         u, M: See the module, shapes (P,) and (P, P).
         noise: Mean squared innovation of the window after the shift, at least 1.
+        wind: What T must exceed: how much better another strength of gusts explains a short window of x and y.
     """
 
     since: float
@@ -171,6 +182,7 @@ class _Compared:
     u: Array
     M: Array
     noise: float
+    wind: float = 0.0
 
 
 def _starts(scores: Scores, begins: Sequence[float]) -> list[tuple[float, int]]:
@@ -185,36 +197,44 @@ def _starts(scores: Scores, begins: Sequence[float]) -> list[tuple[float, int]]:
 def _compared(scores: Scores, begins: Sequence[float]) -> list[_Compared]:
     """The comparison of each window, by its start [s], without those of which either part is too short.
 
-    It is made under the strength of gusts in the window. A long window determines it: by its likelihood with
-    coefficients, trims and start velocities of its own.
+    It is made under the strength of gusts in the window. A window of x and y determines it, and a long one of z and
+    yaw: by its likelihood with coefficients, trims and start velocities of its own.
     """
     starts = _starts(scores, begins)
     if not starts:
         return []
-    short = [bool(scores.time[-1] - since < OWN_GUSTS) for since, _ in starts]
-    now = scores.gusts
+    pushed, now = scores.trimmed, scores.gusts
+    short = [pushed and bool(scores.time[-1] - since < OWN_GUSTS) for since, _ in starts]
     under = [
         (place, strength)
         for place, brief in enumerate(short)
-        for strength in range(now if brief or scores.jolts.size else 0, (now if brief else len(scores.under_gusts)) + 1)
+        for strength in range(now if pushed else 0, (now if brief else len(scores.under_gusts)) + 1)
     ]
     each = (scores, *scores.under_gusts)
     P, products = len(scores.names), np.array([_product(each[strength].rows[starts[w][1] :]) for w, strength in under])
-    G, s, left = _projected(products, P)
+    G, s, still, left = _projected(products, P)
     likely = np.array([scores.gust_likelihood(since) for since, _ in starts])[tuple(np.transpose(under))]
-    likely = likely + 0.5 * (products[:, 0, 0] - left)
+    without, likely = likely + 0.5 * (products[:, 0, 0] - still), likely + 0.5 * (products[:, 0, 0] - left)
     window, own = np.array([w for w, _ in under]), [_product(scores.rows[at:]) for _, at in starts]
-    best = [
-        int(places[np.argmax(likely[places])]) for w in range(len(starts)) for places in [np.flatnonzero(window == w)]
+    each_window = [np.flatnonzero(window == w) for w in range(len(starts))]
+    best = [int(places[np.argmax(likely[places])]) for places in each_window]
+    wind = [
+        0.0 if pushed or scores.time[-1] - since >= OWN_GUSTS else 2 * float(without[places].max() - without[at])
+        for at, places, (since, _) in zip(best, each_window, starts, strict=True)
     ]
     G_w, s_w = G[best], s[best]
-    G_r, s_r, _ = _projected(scores.products - np.array(own), P)
+    G_r, s_r, *_ = _projected(scores.products - np.array(own), P)
     share = G_w @ _inverse(G_w + G_r, 1e-15)
     u = s_w - (share @ (s_w + s_r)[:, :, None])[:, :, 0]
     M = G_w - share @ G_w
     return [
         _Compared(
-            since, at, u[w], 0.5 * (M[w] + M[w].T), max(float(left[best[w]]) / max(scores.time.size - at - P, 1), 1.0)
+            since,
+            at,
+            u[w],
+            0.5 * (M[w] + M[w].T),
+            max(float(left[best[w]]) / max(scores.time.size - at - P, 1), 1.0),
+            wind[w],
         )
         for w, (since, at) in enumerate(starts)
     ]
@@ -227,7 +247,7 @@ def _product(rows: Array) -> Array:
 def _likely(scores: Scores, windows: Sequence[_Compared]) -> Iterator[tuple[_Compared, Array]]:
     """The windows and bases that are worth a contrast: even under white innovations the others are not `UNLIKELY`.
 
-    The true variance is never below that of white innovations.
+    Nor are those of which stronger gusts explain more. The true variance is never below that of white innovations.
     """
     if not windows:
         return
@@ -248,7 +268,8 @@ def _likely(scores: Scores, windows: Sequence[_Compared]) -> Iterator[tuple[_Com
     for w, one in enumerate(windows):
         brief = scores.time[-1] - one.since < OWN_GUSTS
         for b, basis in enumerate([every, *alone]):
-            if rare[b][w] and told[b][1][w] and not (brief and b == 0):
+            windy = told[b][0][w] * one.noise < one.wind
+            if rare[b][w] and told[b][1][w] and not (windy or (brief and b == 0)):
                 yield one, basis
 
 
@@ -301,8 +322,8 @@ def _p_value(statistic: Array | float, directions: Array | int, chunks: Array | 
     return np.asarray(fdtrc(directions, np.maximum(chunks - directions, 1), statistic / directions))
 
 
-def _projected(products: Array, P: int) -> tuple[Array, Array, Array]:
-    """Information and score of windows after projecting out their trims and starts, and residual sums of squares.
+def _projected(products: Array, P: int) -> tuple[Array, Array, Array, Array]:
+    """Information and score of windows less their trims and starts, and sums of squares without and with shifts.
 
     Args:
         products: Products of their rows, see `Scores.rows`, shape (W, 1 + P + Q, 1 + P + Q).
@@ -313,7 +334,7 @@ def _projected(products: Array, P: int) -> tuple[Array, Array, Array]:
     left = products[:, : 1 + P, : 1 + P] - across @ inverse @ across.transpose(0, 2, 1)
     G, s = left[:, 1:, 1:], left[:, 1:, 0]
     explained = (s[:, None] @ _inverse(G, 1e-10) @ s[:, :, None])[:, 0, 0]
-    return G, s, np.maximum(left[:, 0, 0] - explained, 0.0)
+    return G, s, left[:, 0, 0], np.maximum(left[:, 0, 0] - explained, 0.0)
 
 
 def _inverse(products: Array, least: float) -> Array:
@@ -392,7 +413,8 @@ def in_any_air(
     """Smallest p-value of the pushes of z or yaw, averaged over the strengths that the gusts may have now.
 
     A few seconds hardly tell twice the power from that of the regime, and under twice the power the same push is a
-    thousand times less rare. Along x and y the trim of each window explains a push.
+    thousand times less rare. The strengths are weighed by the calmest parts of all axes, and stronger ones by what x
+    and y show in the present seconds, too: wind that comes up at once pushes all.
 
     Source: X.-L. Meng, Ann. Statist. 22 (1994), pp. 1142-1160 (p-values averaged over a nuisance parameter).
 
@@ -403,11 +425,27 @@ def in_any_air(
         back: Likewise.
     """
     air = next(scores.air for scores in under[0] if scores.names == names)
+    heard = np.array([sum(_heard(one, k) for one in scored if not one.trimmed) for k, scored in enumerate(under)])
+    air = air + np.maximum(heard - heard[0], 0.0)
     weight, least = np.exp(CORRELATED * (air - air.max())), []
     for scored in under:
         found = [one.p_value for one in looked_together(scored, lengths, back)[0][names] if pushes(names, one)]
         least.append(min(found, default=1.0))
     return float(weight @ least / weight.sum())
+
+
+def _heard(scores: Scores, strength: int) -> float:
+    """Log-evidence of a strength of gusts in the last seconds of x and y, if their coefficients shift at some instant.
+
+    A payload or a loss of thrust only shifts them.
+    """
+    now, explained = now_of(scores), []
+    for since in scores.time[-1] - np.arange(HEARD, LEAST_GUST_TIME + HEARD, HEARD):
+        at = int(np.searchsorted(scores.time, since))
+        shapes = now.begun(since, 0.0)[at:]
+        across, normal = shapes.T @ now.innovation[at:], shapes.T @ shapes + np.eye(shapes.shape[1])
+        explained.append(across @ np.linalg.solve(normal, across) - np.linalg.slogdet(normal)[1])
+    return float(scores.gust_likelihood(scores.time[-1] - LEAST_GUST_TIME)[strength] + 0.5 * max(explained))
 
 
 def _shared(

@@ -26,7 +26,7 @@ GUST_POWERS = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 """Powers of gusts that the last seconds may have, over those of the regime."""
 
 LEAST_GUST_TIME = 3.0
-"""Shortest time from which the strength of gusts is determined [s]."""
+"""Shortest time from which the strength of gusts is determined, but in a window of x and y [s]."""
 
 PART, PARTS, OWN, OTHERS = 0.5, 6, 3, 4
 """Length [s] and number of the last parts of the flight from which gusts are judged; how many of them count, the
@@ -130,6 +130,11 @@ class Scores:
     gusts: int = 0
     air: Array = field(default_factory=lambda: np.zeros(1 + len(GUST_POWERS)))
 
+    @property
+    def trimmed(self) -> bool:
+        """Whether it is the likelihood of axes of `TRIMMED`."""
+        return any(name.endswith(".trim") for name in self.names)
+
     @cached_property
     def rows(self) -> Array:
         """`innovation`, `tested` and `free` side by side, shape (N, 1 + P + Q)."""
@@ -181,8 +186,12 @@ class Scores:
         return np.asarray(np.cumsum(self.density[::-1], axis=0)[::-1])
 
     def gust_likelihood(self, since: float) -> Array:
-        """Log-likelihood of each strength of gusts from `since` [s] on, over at least `LEAST_GUST_TIME`, (1 + L,)."""
-        return self._later[int(np.searchsorted(self.time, min(since, self.time[-1] - LEAST_GUST_TIME)))]  # type: ignore[no-any-return]
+        """Log-likelihood of each strength of gusts from `since` [s] on, shape (1 + L,).
+
+        Of an axis of `TRIMMED`, which the vehicle may push, over at least `LEAST_GUST_TIME`.
+        """
+        since = min(since, float(self.time[-1]) - LEAST_GUST_TIME) if self.trimmed else since
+        return self._later[int(np.searchsorted(self.time, since))]  # type: ignore[no-any-return]
 
 
 def scores_of(
