@@ -13,6 +13,7 @@ from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Plan, Space
 from rotorfit.core.frames import AXES
 from rotorfit.core.frozen import frozen_axes
+from rotorfit.core.limits import meaning_of
 from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
 from rotorfit.files.cards import card_from_mapping, load_card
@@ -20,7 +21,6 @@ from rotorfit.files.models import load
 from rotorfit.files.plans import WIDEST, plan_from_mapping, plan_mapping
 from rotorfit.planning.belief import Belief, belief_from_card, belief_from_model
 from rotorfit.planning.next_flight import NextFlight, next_flight
-from rotorfit.planning.plan_control import full_scale
 from rotorfit.planning.plan_flight import TOGETHER, plan_flight, plan_flights
 from rotorfit.simulation.vehicle import load_vehicle
 
@@ -85,7 +85,7 @@ DESIGN = "multisine"
 
 
 BEYOND = 2.0
-"""Ratio of commands to the full one from which on the card has another unit in mind than the flights."""
+"""Command from which on it is no fraction of a full one."""
 
 
 @dataclass(frozen=True)
@@ -183,10 +183,9 @@ def _check_full_commands(model: Model, where: str) -> None:
     """Refuses a model whose flights commanded far more than the full command that its card leaves a plan to assume."""
     for axis in AXES:
         flown = max((source.commanded.get(axis, 0.0) for source in model.flights), default=0.0)
-        full = full_scale(model.card, axis)
-        if flown > BEYOND * full:
+        if meaning_of(model.card, axis).asked is None and flown > BEYOND:
             raise PlanError(
-                f"{where}: its flights commanded {axis} up to {flown:.3g}, while a full command is {full:g} by card "
+                f"{where}: its flights commanded {axis} up to {flown:.3g}, while a full command is 1 by card "
                 f"{model.card.name}: state commands as fractions of the full one, such as `scale = 0.01` for per cent, "
                 "or their unit and [limits], and fit again"
             )
