@@ -347,7 +347,8 @@ def test_after_a_model_the_next_flight_is_shown_before_and_after(tmp_path: Path)
 
 
 def test_a_model_of_commands_in_per_cent_is_asked_for_its_full_command() -> None:
-    model = model_of(card=CARD)
+    plain = replace(CARD.command["x"], meaning=None, full_scale=None, unit=None)
+    model = model_of(card=replace(CARD, command={**CARD.command, "x": plain}))
     source = Source("sticks.csv", "0" * 64, (0.0, 60.0), axes=("x",), commanded={"x": 46.0})
     with pytest.raises(PlanError, match=r"commanded x up to 46, while a full command is 1 .* `scale = 0.01`"):
         plans_of(Request(after=replace(model, flights=(source,))))
