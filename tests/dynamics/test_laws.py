@@ -206,11 +206,11 @@ def test_the_default_laws_keep_the_symmetries(name: str) -> None:
 
 
 def test_one_flight_in_two_spans_says_nearly_the_same_as_in_one() -> None:
-    """What is lost is 0.6 s of the second span, and what its trim and start cost."""
+    """Lost are 0.6 s of the second span, and what its trim and start cost; and two flights may differ by a spread."""
     whole, *parts = (flown(QUIET, steps(), 40.0, 7, span=span) for span in ((None, None), (None, 20.0), (20.0, None)))
 
     one, two = fitted(whole), fitted(*parts)
-    assert_within(numbers(two), numbers(one), 0.7 * errors(one))
+    assert_within(numbers(two), numbers(one), 0.8 * errors(one))
     np.testing.assert_allclose(errors(two), errors(one), rtol=0.25)
 
 
